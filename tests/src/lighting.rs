@@ -26,7 +26,7 @@ const TURNED: &str = "[[projector]]\nname = \"row 1 column 2\"\nrotation = 180\n
 /// The camera's channels mix the projectors' colours.
 const COLOURS: [[f64; 3]; 3] = [[0.7, 0.25, 0.05], [0.2, 0.7, 0.1], [0.02, 0.18, 0.8]];
 
-/// The wall with its corners, cameras at three places, and photographs of all patterns by them.
+/// The wall with its corners, cameras at two places, and photographs of all patterns by them.
 struct Lit {
     rig: Rig,
     plan: Plan,
@@ -37,14 +37,14 @@ struct Lit {
 }
 
 fn six() -> Rig {
-    Rig::new([3, 2], [256, 192], 0.02, TURNED).with_lights(3)
+    Rig::new([3, 2], [384, 288], 0.02, TURNED).with_lights(3)
 }
 
 fn camera(rig: &Rig, place: usize) -> Camera {
-    let aside = [0.0, -0.5, 0.5][place];
+    let aside = [0.0, -0.5][place];
     let target = DVec2::new(1.5 - 0.24 * aside, 0.75 - 0.12 * aside);
-    let camera = rig.camera([900, 640], DVec3::new(1.7 + aside, 0.9, 3.3), target, 0.88);
-    Camera { exposure: 0.75, colours: Some(COLOURS), ..camera }
+    let camera = rig.camera([1300, 920], DVec3::new(1.7 + aside, 0.9, 3.3), target, 0.88);
+    Camera { exposure: 0.75, noise: 0.01, colours: Some(COLOURS), ..camera }
 }
 
 fn photographed() -> &'static Lit {
@@ -52,8 +52,9 @@ fn photographed() -> &'static Lit {
     PHOTOGRAPHED.get_or_init(|| {
         let mut rig = six();
         let plan = Plan::of_wall(&rig.wall).unwrap();
-        let cameras: Vec<Camera> = (0..3).map(|place| camera(&rig, place)).collect();
-        let take = |camera| (0..plan.n_with_light()).map(|pattern| read(&mut rig, &plan, camera, pattern, None)).collect();
+        let cameras: Vec<Camera> = (0..2).map(|place| camera(&rig, place)).collect();
+        let take =
+            |camera| (0..plan.n_with_light()).map(|pattern| read(&mut rig, &plan, camera, pattern, None)).collect();
         let readings: Vec<Vec<Reading>> = cameras.iter().map(take).collect();
         let Verdict { wall, faults, .. } = judge(&rig.wall, &plan, &readings.concat(), None);
         assert!(faults.is_empty(), "{faults:?}");
@@ -90,7 +91,7 @@ fn shown(rig: &Rig, wall: &Wall) -> Evenness {
 }
 
 #[test]
-fn projectors_of_different_light_show_no_seam_after_photographs_from_three_places() {
+fn projectors_of_different_light_show_no_seam_after_photographs_from_two_places() {
     let Lit { rig, aligned, readings, .. } = photographed();
     let before = shown(rig, aligned);
     assert!(before.seam > 0.1, "{before:?}");
@@ -102,7 +103,7 @@ fn projectors_of_different_light_show_no_seam_after_photographs_from_three_place
     // The camera's vignetting, a third of the light at the wall's corners, is not the wall's.
     assert!(after.uneven < 0.02, "{after:?}");
     assert!(!found.iter().any(|line| line.contains("vignetting")), "{found:?}");
-    // In the grid of the eight photographs from each place, and found as they truly are.
+    // Gammas and blacks are found as they truly are.
     for (stands, projector) in rig.projectors.iter().zip(wall.projectors()) {
         let exponent = match projector.gamma {
             compositor::wall::Gamma::Power(exponent) => exponent,
@@ -120,9 +121,12 @@ fn from_one_place_no_seam_shows_although_vignetting_is_not_told() {
     let Lit { rig, aligned, readings, .. } = photographed();
     let LightVerdict { wall, found, faults } = judge_light(aligned, &readings[0]);
     assert!(faults.is_empty(), "{faults:?}\n{found:#?}");
-    assert!(found.iter().any(|line| line.contains("photograph the patterns of light from a second place")), "{found:?}");
+    assert!(
+        found.iter().any(|line| line.contains("photograph the patterns of light from a second place")),
+        "{found:?}"
+    );
     let after = shown(rig, &wall.unwrap());
-    assert!(after.seam < 0.03 && after.uneven > 0.05, "{after:?}");
+    assert!(after.seam < 0.01 && after.uneven > 0.05, "{after:?}");
 }
 
 #[test]
@@ -147,7 +151,7 @@ fn photographs_that_tell_no_light_are_named_and_nothing_is_believed() {
     let person = Some([DVec2::new(0.3, 0.1), DVec2::new(0.45, 1.0)]);
     let LightVerdict { faults, .. } = judge_light(aligned, &light_by(&cameras[0], person));
     assert!(faults.iter().any(|fault| fault.contains("% is needed")), "{faults:?}");
-    // A person who walks through one of twelve photographs does no harm.
+    // A person who walks through one of eight photographs does no harm.
     let mut one = readings.concat();
     one[n_places as usize] = read(&mut rig, plan, &cameras[0], n_places, person);
     let LightVerdict { wall, faults, .. } = judge_light(aligned, &one);
@@ -180,7 +184,7 @@ fn the_program_writes_light_into_the_file_or_leaves_it_as_it_was() {
     let (file, photos) = (folder.path().join("ours.toml"), folder.path().join("photos"));
     fs::create_dir(&photos).unwrap();
     let text = format!(
-        "# Ours.\ncanvas_m = [3.0, 1.5] # wide\n[grid]\ncolumns = 3\nrows = 2\npixels = [256, 192]\noverlap = [0.1, 0.1]\n\
+        "# Ours.\ncanvas_m = [3.0, 1.5] # wide\n[grid]\ncolumns = 3\nrows = 2\npixels = [384, 288]\noverlap = [0.1, 0.1]\n\
          {TURNED}# The end.\n"
     );
     fs::write(&file, &text).unwrap();
@@ -204,10 +208,13 @@ fn the_program_writes_light_into_the_file_or_leaves_it_as_it_was() {
     let (code, said) = run();
     assert!(code == Some(0) && said.contains("wrote the corners and light into"), "{said}");
     let written = fs::read_to_string(&file).unwrap();
-    assert!(written.starts_with("# Ours.\ncanvas_m = [3.0, 1.5] # wide\n") && written.contains("# The end."), "{written}");
+    assert!(
+        written.starts_with("# Ours.\ncanvas_m = [3.0, 1.5] # wide\n") && written.contains("# The end."),
+        "{written}"
+    );
     let wall = Wall::load(&file).unwrap();
     assert!(wall.projectors().iter().all(|it| it.fall_off.is_some() && it.black_level > 0.0), "{written}");
-    assert!(shown(&rig, &wall).seam < 0.03);
+    assert!(shown(&rig, &wall).seam < 0.01);
     // Photographs of light alone leave the corners as they are.
     (0..plan.n_patterns()).for_each(|pattern| fs::remove_file(photos.join(format!("{pattern}.png"))).unwrap());
     let (code, said) = run();

@@ -202,10 +202,7 @@ fn watch(args: &CalibrateArgs, wall: &Wall, plan: &Plan, folder: &Path) -> anyho
     };
     window.show_patterns(wall, (plan, n_patterns), Box::new(on_news))?;
     drop(watch);
-    match Stopped::by_signal(format!(
-        "stopped before anything was written: {} stays as it was",
-        args.file.display()
-    )) {
+    match Stopped::by_signal(format!("stopped before anything was written: {} stays as it was", args.file.display())) {
         Some(stopped) => Err(stopped.into()),
         None => Ok(photos),
     }

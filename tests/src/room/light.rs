@@ -27,22 +27,44 @@ pub(crate) fn evenness(rig: &Rig, wall: &Wall, shown: Shown<'_>, n_points: u32) 
     let points = points(rig, wall, n_points);
     let mut worst = Evenness::default();
     for channel in 0..3 {
-        // The unit of the wall's white, from all levels together.
-        let lights: Vec<Vec<[f64; 2]>> = (0..LEVELS.len())
-            .map(|level| points.iter().map(|(point, _)| light(rig, shown, level, channel, *point)).collect())
-            .collect();
-        let ideal = |level: usize| wall.black() + (1.0 - wall.black()) * linear(LEVELS[level][channel]);
-        let pairs = || (0..LEVELS.len()).flat_map(|level| lights[level].iter().map(move |it| (ideal(level), it[0])));
-        let unit = pairs().map(|(ideal, light)| ideal * light).sum::<f64>() / pairs().map(|(ideal, _)| ideal * ideal).sum::<f64>();
-        for (level, lights) in lights.iter().enumerate() {
-            let away: Vec<f64> = lights.iter().map(|it| it[0] / unit - ideal(level)).collect();
-            let smooth = smooth(&points, &away);
-            for ((away, smooth), [_, rounding]) in away.iter().zip(&smooth).zip(lights) {
-                let rounding = rounding / unit;
-                worst.seam = worst.seam.max((away - smooth).abs() - rounding);
-                worst.uneven = worst.uneven.max(away.abs() - rounding);
-                worst.rounding = worst.rounding.max(rounding);
-            }
+        worst = worst.or(evenness_of(rig, wall, shown, &points, channel));
+    }
+    worst
+}
+
+impl Evenness {
+    /// The worse of both.
+    fn or(self, other: Self) -> Self {
+        Self {
+            seam: self.seam.max(other.seam),
+            uneven: self.uneven.max(other.uneven),
+            rounding: self.rounding.max(other.rounding),
+        }
+    }
+}
+
+/// The light of one channel.
+fn evenness_of(rig: &Rig, wall: &Wall, shown: Shown<'_>, points: &[(DVec2, DVec2)], channel: usize) -> Evenness {
+    let light_at = |level: usize| points.iter().map(move |(point, _)| light(rig, shown, level, channel, *point));
+    let fields: Vec<(f64, Vec<[f64; 2]>)> = LEVELS
+        .iter()
+        .enumerate()
+        .map(|(level, values)| {
+            (wall.black() + (1.0 - wall.black()) * linear(values[channel]), light_at(level).collect())
+        })
+        .collect();
+    // The unit of the wall's white, from all levels together.
+    let pairs = || fields.iter().flat_map(|(ideal, lights)| lights.iter().map(move |it| (*ideal, it[0])));
+    let unit =
+        pairs().map(|(ideal, light)| ideal * light).sum::<f64>() / pairs().map(|(ideal, _)| ideal * ideal).sum::<f64>();
+    let mut worst = Evenness::default();
+    for (ideal, lights) in &fields {
+        let away: Vec<f64> = lights.iter().map(|it| it[0] / unit - ideal).collect();
+        let smooth = smooth(points, &away);
+        for ((away, smooth), [_, rounding]) in away.iter().zip(&smooth).zip(lights) {
+            let rounding = rounding / unit;
+            let here = Evenness { seam: (away - smooth).abs() - rounding, uneven: away.abs() - rounding, rounding };
+            worst = worst.or(here);
         }
     }
     worst

@@ -85,7 +85,7 @@ impl TrueProjector {
             let (x, y) = (from.x + right, from.y + below);
             let is_there = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
             let weight = (1.0 - (part.x - right).abs()) * (1.0 - (part.y - below).abs());
-            is_there.then(|| ([x as usize, y as usize], weight))
+            is_there.then_some(([x as usize, y as usize], weight))
         };
         (0..4).filter_map(tap)
     }

@@ -162,7 +162,8 @@ impl Rig {
         seed: u64,
     ) -> Reading {
         let (values, colours) = decoded(&camera.photograph(&self.projectors, obstacle, seed));
-        let colour_at = |x: usize, y: usize| colours.get_pixel(x as u32, y as u32).0.map(|value| f32::from(value) / 255.0);
+        let colour_at =
+            |x: usize, y: usize| colours.get_pixel(x as u32, y as u32).0.map(|value| f32::from(value) / 255.0);
         Reading::with_colours(name.to_owned(), &Photograph { size: camera.size, values }, &colour_at, codebook)
     }
 

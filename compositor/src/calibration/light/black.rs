@@ -55,7 +55,8 @@ impl<'a> Overlaps<'a> {
             let rect_point = other.canvas.rect_from_canvas(canvas);
             // Beyond a mesh there is no image.
             let is_near = (rect_point - 0.5).abs().max_element() <= if other.mesh.is_some() { 0.5 } else { 1.0 };
-            let upright = self.maps[other_idx].filter(|_| is_near).and_then(|maps| apply(maps[1], other.image_at(rect_point)));
+            let upright =
+                self.maps[other_idx].filter(|_| is_near).and_then(|maps| apply(maps[1], other.image_at(rect_point)));
             let Some(upright) = upright else { continue };
             let inside = upright.min(1.0 - upright).min_element();
             if inside.abs() < EDGE {

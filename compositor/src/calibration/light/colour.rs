@@ -24,9 +24,10 @@ impl Shares {
 
     /// How much more light white has than red, green and blue together, as a part of it, where the camera sees most of it.
     pub(super) fn excess(&self) -> f64 {
-        self.of_channel.iter().map(|shares| 1.0 - shares.iter().sum::<f64>()).fold(0.0, |most, it| {
-            if f64::abs(it) > f64::abs(most) { it } else { most }
-        })
+        self.of_channel
+            .iter()
+            .map(|shares| 1.0 - shares.iter().sum::<f64>())
+            .fold(0.0, |most, it| if f64::abs(it) > f64::abs(most) { it } else { most })
     }
 }
 

@@ -65,7 +65,8 @@ impl Fields {
     /// `None` if squares do not determine them.
     pub(super) fn solve(n_projectors: usize, n_shots: usize, n_cameras: usize, bright: &[Bright]) -> Option<Self> {
         let basis = Basis::new();
-        let mut is_even: Vec<bool> = (0..n_cameras).map(|camera| moved(camera, n_projectors, bright) < LEAST_MOVED).collect();
+        let mut is_even: Vec<bool> =
+            (0..n_cameras).map(|camera| moved(camera, n_projectors, bright) < LEAST_MOVED).collect();
         loop {
             let (fields, solved, sigma) = Self::fit((n_projectors, n_shots), &is_even, bright, &basis)?;
             // Of a vignetting that is told badly where it is strongest, nothing is believed.
@@ -73,9 +74,8 @@ impl Fields {
                 let own = bright.iter().filter(|it| it.camera == camera);
                 radial_row(n_shots, camera, own.map(|it| it.at.length()).fold(0.0, f64::max) * DVec2::X)
             };
-            let is_untold = |camera: &usize| {
-                !is_even[*camera] && sigma * solved.deviation(&corner(*camera)) > LARGEST_DEVIATION
-            };
+            let is_untold =
+                |camera: &usize| !is_even[*camera] && sigma * solved.deviation(&corner(*camera)) > LARGEST_DEVIATION;
             let untold: Vec<usize> = (0..n_cameras).filter(is_untold).collect();
             if untold.is_empty() {
                 return Some(fields);
@@ -228,9 +228,7 @@ fn rows(it: &Bright, n_shots: usize, basis: &Basis) -> (Factors<{ N_POINTS + 1 }
 }
 
 fn radial_row(n_shots: usize, camera: usize, at: DVec2) -> Factors<N_RADIAL> {
-    std::array::from_fn(|term| {
-        (3 * n_shots + N_RADIAL * camera + term, at.length_squared().powi(term as i32 + 1))
-    })
+    std::array::from_fn(|term| (3 * n_shots + N_RADIAL * camera + term, at.length_squared().powi(term as i32 + 1)))
 }
 
 /// How much each control point counts at a place of a field: [`FallOff`]'s interpolation, which is linear in them.
@@ -294,7 +292,9 @@ mod tests {
             colour / factor / expected(projector, at)
         };
         let unit = ratio(0, DVec2::splat(0.5));
-        for (projector, at) in (0..3).flat_map(|it| [[0.1, 0.1], [0.5, 0.3], [1.0, 0.9]].map(|at| (it, DVec2::from(at)))) {
+        for (projector, at) in
+            (0..3).flat_map(|it| [[0.1, 0.1], [0.5, 0.3], [1.0, 0.9]].map(|at| (it, DVec2::from(at))))
+        {
             let ratio = ratio(projector, at) / unit;
             assert!((ratio - 1.0).abs() < 0.01, "{projector} {at}: {ratio}");
         }
@@ -320,7 +320,8 @@ mod tests {
 
     #[test]
     fn control_points_count_as_in_a_fall_off() {
-        let parts: [[f64; 5]; 5] = std::array::from_fn(|row| std::array::from_fn(|column| 1.0 - 0.03 * (row * column) as f64 * 0.9));
+        let parts: [[f64; 5]; 5] =
+            std::array::from_fn(|row| std::array::from_fn(|column| 1.0 - 0.03 * (row * column) as f64 * 0.9));
         let fall_off = FallOff::new(parts).expect("parts");
         let basis = Basis::new();
         for n in 0..100 {

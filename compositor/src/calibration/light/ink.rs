@@ -52,7 +52,9 @@ impl Ink {
     pub(in crate::calibration) fn value(self, [column, row]: [u32; 2]) -> [u8; 3] {
         let is_white = match self {
             Self::Grey(value) => return [value; 3],
-            Self::Without(channel) => return std::array::from_fn(|it| if it == usize::from(channel) { 0 } else { 255 }),
+            Self::Without(channel) => {
+                return std::array::from_fn(|it| if it == usize::from(channel) { 0 } else { 255 });
+            }
             Self::Rows => row.is_multiple_of(2),
             Self::Columns => column.is_multiple_of(2),
             Self::Quarter => row.is_multiple_of(2) && column.is_multiple_of(2),

@@ -68,17 +68,13 @@ impl Field {
             let mut arrow = Arrow::new(1, 9, 0);
             for ((place, part, [light, slope]), weight) in known.iter().zip(&weights) {
                 let terms = white_terms(*place);
-                let row: [_; 9] =
-                    std::array::from_fn(|n| (n, if n < 6 { part * terms[n] } else { terms[n - 6] }));
+                let row: [_; 9] = std::array::from_fn(|n| (n, if n < 6 { part * terms[n] } else { terms[n - 6] }));
                 arrow.add(0, &row, &[], *light, weight / (slope * slope));
             }
             // Few squares tell no curvature.
             [3, 4, 5, 7, 8].iter().for_each(|&term| arrow.add(0, &[(term, 1.0)], &[], 0.0, WEAK));
             let local = arrow.solve()?.local.remove(0);
-            let new = Self {
-                white: std::array::from_fn(|n| local[n]),
-                black: std::array::from_fn(|n| local[6 + n]),
-            };
+            let new = Self { white: std::array::from_fn(|n| local[n]), black: std::array::from_fn(|n| local[6 + n]) };
             let away = |(place, part, [light, _]): &(DVec2, f64, [f64; 2])| {
                 light - new.black(*place) - part * new.white(*place)
             };

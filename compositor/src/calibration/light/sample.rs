@@ -43,15 +43,15 @@ pub struct Sample {
 /// The red, green and blue of a photograph's pixel in a column and a row, as stored, from 0 to 1.
 pub type ColourAt<'a> = &'a dyn Fn(usize, usize) -> [f32; 3];
 
-/// Squares are measured within this distance of their centres, in sides: there is no light of their neighbours, even
-/// behind a lens that blurs by a pixel.
-const REACH: f64 = 0.2;
+/// Squares are measured within this distance of their centres, in sides, with weights that fade outwards: there is next to
+/// no light of their neighbours, even behind a lens that blurs by a pixel.
+const REACH: f64 = 0.28;
 /// Smaller squares, in pixels of the photograph, have no such place.
 const LEAST_SIDE: f64 = 8.0;
 /// Crossings around one that was not found, by which its place is told.
 const LEAST_AROUND: usize = 6;
-/// The most points a side that are measured.
-const MOST_POINTS: f64 = 16.0;
+/// The most points a side that are measured; two for each of the photograph's pixels, unless these are many.
+const MOST_POINTS: f64 = 24.0;
 
 /// Measures the squares of a part of a pattern of light.
 pub(in crate::calibration) fn samples(plan: &Plan, sighting: &Sighting, shot: &mut LightShot, colour_at: ColourAt<'_>) {
@@ -120,23 +120,29 @@ fn measured(
     [width, height]: [usize; 2],
     colour_at: ColourAt<'_>,
 ) -> Option<([f64; 3], [f64; 3])> {
-    let n = (2.0 * REACH * side).round().clamp(3.0, MOST_POINTS) as usize;
-    let part = |index: usize| 0.5 + REACH * ((2 * index + 1) as f64 / n as f64 - 1.0);
-    let (mut sum, mut squares) = ([0.0; 3], [0.0; 3]);
-    for (s, t) in (0..n).flat_map(|y| (0..n).map(move |x| (part(x), part(y)))) {
+    let n = (4.0 * REACH * side).round().clamp(6.0, MOST_POINTS) as usize;
+    // Hann's window: a photograph may show stripes, of which a box would cut off a part at its edges.
+    let points: Vec<[f64; 2]> = (0..n)
+        .map(|index| {
+            let away = (2 * index + 1) as f64 / n as f64 - 1.0;
+            [0.5 + REACH * away, 1.0 + (std::f64::consts::PI * away).cos()]
+        })
+        .collect();
+    let (mut weights, mut sum, mut squares) = (0.0, [0.0; 3], [0.0; 3]);
+    for ([s, s_weight], [t, t_weight]) in points.iter().flat_map(|t| points.iter().map(move |s| (*s, *t))) {
         let point = (a * (1.0 - s) + b * s) * (1.0 - t) + (d * (1.0 - s) + c * s) * t;
         let is_inside = point.cmpge(DVec2::ZERO).all() && point.x < width as f64 && point.y < height as f64;
         if !is_inside {
             return None;
         }
-        let colour = colour_at(point.x as usize, point.y as usize);
+        let (weight, colour) = (s_weight * t_weight, colour_at(point.x as usize, point.y as usize));
+        weights += weight;
         for channel in 0..3 {
             let value = f64::from(colour[channel]);
-            sum[channel] += value;
-            squares[channel] += value * value;
+            sum[channel] += weight * value;
+            squares[channel] += weight * value * value;
         }
     }
-    let n_points = (n * n) as f64;
-    let mean = sum.map(|sum| sum / n_points);
-    Some((mean, std::array::from_fn(|it| (squares[it] / n_points - mean[it] * mean[it]).max(0.0))))
+    let mean = sum.map(|sum| sum / weights);
+    Some((mean, std::array::from_fn(|it| (squares[it] / weights - mean[it] * mean[it]).max(0.0))))
 }

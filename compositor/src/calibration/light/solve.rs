@@ -67,10 +67,10 @@ pub fn solve(wall: &Wall, shots: &[&LightShot]) -> LightSolution {
     let mut sizes: Vec<[usize; 2]> = shots.iter().map(|shot| shot.size).collect();
     sizes.sort_unstable();
     sizes.dedup();
-    let camera_of: Vec<usize> =
-        shots.iter().map(|shot| sizes.binary_search(&shot.size).unwrap_or_default()).collect();
-    let responses: Vec<[Option<Response>; 3]> =
-        (0..sizes.len()).map(|camera| [0, 1, 2].map(|channel| response(camera, channel, shots, &camera_of, n_projectors))).collect();
+    let camera_of: Vec<usize> = shots.iter().map(|shot| sizes.binary_search(&shot.size).unwrap_or_default()).collect();
+    let responses: Vec<[Option<Response>; 3]> = (0..sizes.len())
+        .map(|camera| [0, 1, 2].map(|channel| response(camera, channel, shots, &camera_of, n_projectors)))
+        .collect();
     let has_no_response: Vec<bool> =
         camera_of.iter().map(|camera| responses[*camera].iter().any(Option::is_none)).collect();
     let lits: Vec<Lit> =
@@ -137,7 +137,8 @@ fn response(
     n_projectors: usize,
 ) -> Option<Response> {
     let mut known = Vec::new();
-    let own: Vec<&&LightShot> = shots.iter().zip(camera_of).filter(|(_, it)| **it == camera).map(|(it, _)| it).collect();
+    let own: Vec<&&LightShot> =
+        shots.iter().zip(camera_of).filter(|(_, it)| **it == camera).map(|(it, _)| it).collect();
     for (shot, it) in own.iter().enumerate() {
         for sample in &it.samples {
             let (value, variance) = (sample.mean[channel], sample.variance[channel]);
@@ -193,12 +194,11 @@ impl<'a> Groups<'a> {
 
     /// Squares with their part of white and its error, in each channel where it is known.
     fn parts(&self, projector: Option<usize>) -> impl Iterator<Item = (&'a Lit, usize, [f64; 2])> {
-        let own = self.all.iter().filter(move |(squares, _)| projector.is_none_or(|index| squares[0].projector == index));
+        let own =
+            self.all.iter().filter(move |(squares, _)| projector.is_none_or(|index| squares[0].projector == index));
         own.flat_map(|(squares, fields)| {
             squares.iter().flat_map(move |it| {
-                (0..3).filter_map(move |channel| {
-                    Some((*it, channel, fields[channel].as_ref()?.part(it, channel)?))
-                })
+                (0..3).filter_map(move |channel| Some((*it, channel, fields[channel].as_ref()?.part(it, channel)?)))
             })
         })
     }

@@ -105,9 +105,8 @@ fn of<'a>(shots: &'a [(&str, LightShot)]) -> Vec<&'a LightShot> {
 
 /// The shot without what a mirror or a shining floor shows.
 fn without_reflections(shot: &LightShot, wall: &Wall) -> LightShot {
-    let is_reflected = |projector_idx: usize, is_mirrored: bool| {
-        is_mirrored != (wall.projectors()[projector_idx].flip != Flip::None)
-    };
+    let is_reflected =
+        |projector_idx: usize, is_mirrored: bool| is_mirrored != (wall.projectors()[projector_idx].flip != Flip::None);
     let n_reflected = shot.samples.iter().filter(|it| is_reflected(it.projector_idx, it.is_mirrored)).count();
     // A wall that is seen in a mirror is all reflected.
     let are_most = 2 * n_reflected > shot.samples.len();
@@ -178,7 +177,9 @@ fn report(name: &str, light: &Light, found: &mut Vec<String>, faults: &mut Vec<S
 fn missing_fault(name: &str, index: usize, shots: &[(&str, LightShot)], solution: &LightSolution) -> String {
     let is_seen = shots.iter().flat_map(|(_, shot)| &shot.samples).any(|sample| sample.projector_idx == index);
     if !is_seen {
-        format!("\"{name}\" is in no photograph of a pattern of light: is it on, is it sharp, and is it in the picture?")
+        format!(
+            "\"{name}\" is in no photograph of a pattern of light: is it on, is it sharp, and is it in the picture?"
+        )
     } else if solution.over_exposed[index] > 0.5 {
         format!("white of \"{name}\" is burnt out in all photographs: expose shorter")
     } else {
@@ -199,7 +200,8 @@ fn lit(wall: &Wall, solution: &LightSolution, faults: &mut Vec<String>) -> Optio
     let darkest = |light: &Light| extent(&light.white)[0];
     // The light of each colour at the darkest place of the projector.
     let strongest = |light: &Light| light.strength.map(|strength| strength * darkest(light));
-    let solved = || wall.projectors().iter().zip(&solution.projectors).filter_map(|(it, light)| Some((it, light.as_ref()?)));
+    let solved =
+        || wall.projectors().iter().zip(&solution.projectors).filter_map(|(it, light)| Some((it, light.as_ref()?)));
     let mut blacks: Vec<f64> = solved().map(|(projector, _)| projector.black_level).collect();
     let mut white = [0.0; 3];
     // White includes black, whose part of white it tells: one after the other they settle.

@@ -113,7 +113,9 @@ fn text_with_projectors(path: &Path, wall: &Wall) -> anyhow::Result<String> {
             let file = toml::Value::String(mesh.file().to_owned()).to_string();
             text = with_key(&text, &projector.name, "mesh", &file);
         }
-        for (key, value) in light(projector).into_iter().zip(light(old_projector)).filter(|(new, old)| new != old).map(|it| it.0) {
+        for (key, value) in
+            light(projector).into_iter().zip(light(old_projector)).filter(|(new, old)| new != old).map(|it| it.0)
+        {
             text = with_key(&text, &projector.name, key, &value);
         }
     }
