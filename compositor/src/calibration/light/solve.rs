@@ -84,7 +84,7 @@ pub fn solve(wall: &Wall, shots: &[&LightShot]) -> LightSolution {
     let is_solved: Vec<bool> = (0..n_projectors)
         .map(|index| n_squares(index) >= LEAST_SQUARES && curves[index].is_some() && shares[index].is_some())
         .collect();
-    let over_exposed = (0..n_projectors).map(|index| over_exposed(index, &lits)).collect();
+    let over_exposed = (0..n_projectors).map(|index| over_exposed(index, shots)).collect();
     let bright: Vec<Bright> = bright.into_iter().filter(|it| is_solved[it.projector]).collect();
     let nothing = LightSolution {
         projectors: vec![None; n_projectors],
@@ -268,8 +268,11 @@ fn covered(projector: usize, bright: &[Bright]) -> f64 {
     has_square.iter().filter(|has| **has).count() as f64 / (CELLS * CELLS) as f64
 }
 
-/// The part of a projector's white squares of which no channel tells the light.
-fn over_exposed(projector: usize, lits: &[Lit]) -> f64 {
-    let white = || lits.iter().filter(|it| it.projector == projector && it.ink == Ink::Grey(255));
-    white().filter(|it| it.light.iter().any(Option::is_none)).count() as f64 / white().count().max(1) as f64
+/// The part of a projector's white squares that a channel of the camera shows burnt out.
+fn over_exposed(projector: usize, shots: &[&LightShot]) -> f64 {
+    let samples = || shots.iter().flat_map(|shot| &shot.samples);
+    let white = || samples().filter(|it| it.projector_idx == projector && it.ink == Ink::Grey(255));
+    let is_burnt =
+        |channel: usize, it: &super::Sample| it.mean[channel] + 1.5 * it.variance[channel].sqrt() > VALUES[1];
+    white().filter(|it| (0..3).any(|channel| is_burnt(channel, it))).count() as f64 / white().count().max(1) as f64
 }
