@@ -164,3 +164,32 @@ fn with_key(text: &str, name: &str, key: &str, value: &str) -> String {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wall::FallOff;
+
+    #[test]
+    fn light_goes_into_tables_that_are_there_and_new_ones_and_the_rest_stays() {
+        let text = "# Ours.\ncanvas_m = [2.0, 1.0]\n[optics]\ngamma = 2.2 # all\n[grid]\ncolumns = 2\nrows = 1\n\
+                    pixels = [64, 48]\noverlap = [0.2, 0.0]\n[[projector]]\nname = \"row 1 column 2\"\n\
+                    gain = [1.0, 0.9, 1.0] # an old lamp\n";
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("ours.toml");
+        std::fs::write(&path, text).expect("written");
+        let wall = Wall::load(&path).expect("a wall");
+        let mut projectors = wall.projectors().to_vec();
+        let fall_off = FallOff::new(std::array::from_fn(|row| [0.9, 1.0, 0.95, 0.9, 0.8 - 0.01 * row as f64]));
+        projectors[0].fall_off = Some(fall_off.expect("parts"));
+        projectors[0].black_level = 0.003;
+        projectors[1].gamma = Gamma::Srgb;
+        projectors[1].gain = [0.8, 0.75, 1.0];
+        let lit = wall.with_projectors(projectors).expect("a wall");
+        save_projectors(&path, &lit).expect("saved");
+        assert_eq!(Wall::load(&path).expect("a wall").projectors(), lit.projectors());
+        let written = std::fs::read_to_string(&path).expect("text");
+        assert!(written.starts_with("# Ours.\n") && written.contains("gamma = 2.2 # all"), "{written}");
+        assert!(written.contains("gain = [0.8, 0.75, 1.0] # an old lamp"), "{written}");
+    }
+}
