@@ -1,6 +1,6 @@
 //! The strength of each projector's red, green and blue, from squares that lack one of them.
 
-use super::levels::mean;
+use super::{super::fitting::solve_symmetric, levels::mean};
 
 /// The part of what each channel of the camera sees of a projector's white that is its red, green and blue.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,11 +31,15 @@ impl Shares {
     }
 }
 
+/// Errors of the camera's view of white, which all bright squares tell, and of single colours, which few tell; as parts.
+const WHITE_ERROR: f64 = 0.001;
+const COLOUR_ERROR: f64 = 0.01;
+
 /// The strengths of red, green and blue of projectors, in proportion to the mean of all. Each projector has its shares, and
 /// the camera's red, green and blue of its white.
 ///
 /// The camera's channels see more than one of the projector's each, so a projector's red is compared with others' red by
-/// all that the camera sees of it.
+/// all that the camera sees of it. Strengths then add up to its white as well as the mean of all projectors' colours can.
 pub(super) fn strengths(projectors: &[(Shares, [f64; 3])]) -> Vec<[f64; 3]> {
     let seen = |(shares, colour): &(Shares, [f64; 3]), shown: usize| -> [f64; 3] {
         std::array::from_fn(|channel| shares.of_channel[channel][shown] * colour[channel])
@@ -45,11 +49,25 @@ pub(super) fn strengths(projectors: &[(Shares, [f64; 3])]) -> Vec<[f64; 3]> {
         all.fold([0.0; 3], |sum, it| std::array::from_fn(|n| sum[n] + it[n] / projectors.len() as f64))
     };
     let means = [0, 1, 2].map(mean_of);
-    let strength = |it: &(Shares, [f64; 3]), shown: usize| {
-        let dot = |a: [f64; 3], b: [f64; 3]| (0..3).map(|n| a[n] * b[n]).sum::<f64>();
-        dot(seen(it, shown), means[shown]) / dot(means[shown], means[shown]).max(1e-12)
+    let dot = |a: [f64; 3], b: [f64; 3]| (0..3).map(|n| a[n] * b[n]).sum::<f64>();
+    let strengths = |it: &(Shares, [f64; 3])| {
+        let alone =
+            [0, 1, 2].map(|shown| dot(seen(it, shown), means[shown]) / dot(means[shown], means[shown]).max(1e-12));
+        let mut normal = vec![0.0; 9];
+        let mut right = alone.map(|strength| strength / COLOUR_ERROR.powi(2));
+        (0..3).for_each(|n| normal[4 * n] = 1.0 / COLOUR_ERROR.powi(2));
+        for (channel, white) in it.1.iter().enumerate() {
+            let weight = 1.0 / (WHITE_ERROR * white).powi(2);
+            for row in 0..3 {
+                (0..3).for_each(|column| {
+                    normal[3 * row + column] += weight * means[row][channel] * means[column][channel]
+                });
+                right[row] += weight * means[row][channel] * white;
+            }
+        }
+        if solve_symmetric(&mut normal, &mut right) { right } else { alone }
     };
-    projectors.iter().map(|it| [0, 1, 2].map(|shown| strength(it, shown))).collect()
+    projectors.iter().map(strengths).collect()
 }
 
 #[cfg(test)]
@@ -75,6 +93,16 @@ mod tests {
             let ratio = found[0][shown] / found[1][shown] / (strong[0][shown] / strong[1][shown]);
             assert!((ratio - 1.0).abs() < 1e-9, "{shown}: {ratio}");
         }
+        // Errors of single colours hardly count: white tells more.
+        let mut astray = projectors;
+        astray[0].0.of_channel[1][1] += 0.01;
+        astray[1].0.of_channel[0][0] -= 0.01;
+        for (found, exact) in strengths(&astray).as_flattened().iter().zip(found.as_flattened()) {
+            assert!((found / exact - 1.0).abs() < 0.012, "{found} {exact}");
+        }
+        let white = |of: &[[f64; 3]], n: usize| (0..3).map(|shown| of[n][shown] * camera[1][shown]).sum::<f64>();
+        let [before, after] = [&found, &strengths(&astray)].map(|of| white(of, 0) / white(of, 1));
+        assert!((before / after - 1.0).abs() < 0.003, "{before} {after}");
         let mut brilliant: Lacking = Default::default();
         brilliant.iter_mut().flatten().for_each(|parts| *parts = vec![[0.8, 0.01]; 5]);
         assert!((Shares::fit(&brilliant).expect("squares").excess() - 0.4).abs() < 1e-9);
