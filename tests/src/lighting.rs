@@ -148,7 +148,7 @@ fn photographs_that_tell_no_light_are_named_and_nothing_is_believed() {
     let LightVerdict { wall, faults, .. } = judge_light(aligned, &readings[0][..n_places as usize]);
     assert!(wall.is_none() && faults[0].contains("no photograph shows a pattern of light"), "{faults:?}");
     // A person stands before two projectors in all photographs.
-    let person = Some([DVec2::new(0.3, 0.1), DVec2::new(0.45, 1.0)]);
+    let person = Some([DVec2::new(0.3, 0.1), DVec2::new(0.5, 1.0)]);
     let LightVerdict { faults, .. } = judge_light(aligned, &light_by(&cameras[0], person));
     assert!(faults.iter().any(|fault| fault.contains("% is needed")), "{faults:?}");
     // A person who walks through one of eight photographs does no harm.

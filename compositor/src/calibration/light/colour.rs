@@ -59,9 +59,9 @@ pub(super) fn strengths(projectors: &[(Shares, [f64; 3])]) -> Vec<[f64; 3]> {
         for (channel, white) in it.1.iter().enumerate() {
             let weight = 1.0 / (WHITE_ERROR * white).powi(2);
             for row in 0..3 {
-                (0..3).for_each(|column| {
-                    normal[3 * row + column] += weight * means[row][channel] * means[column][channel]
-                });
+                for column in 0..3 {
+                    normal[3 * row + column] += weight * means[row][channel] * means[column][channel];
+                }
                 right[row] += weight * means[row][channel] * white;
             }
         }
