@@ -58,11 +58,11 @@ pub(super) fn strengths(projectors: &[(Shares, [f64; 3])]) -> Vec<[f64; 3]> {
         (0..3).for_each(|n| normal[4 * n] = 1.0 / COLOUR_ERROR.powi(2));
         for (channel, white) in it.1.iter().enumerate() {
             let weight = 1.0 / (WHITE_ERROR * white).powi(2);
-            for row in 0..3 {
-                for column in 0..3 {
-                    normal[3 * row + column] += weight * means[row][channel] * means[column][channel];
+            for (row, own) in means.iter().enumerate() {
+                for (column, other) in means.iter().enumerate() {
+                    normal[3 * row + column] += weight * own[channel] * other[channel];
                 }
-                right[row] += weight * means[row][channel] * white;
+                right[row] += weight * own[channel] * white;
             }
         }
         if solve_symmetric(&mut normal, &mut right) { right } else { alone }
