@@ -40,7 +40,7 @@ const N: usize = N_INTERVALS + 3;
 const N_WHITE: usize = 6;
 const N_BLACK: usize = 3;
 /// The weight that keeps the spline smooth where nothing is measured.
-const SMOOTHNESS: f64 = 3e-3;
+const SMOOTHNESS: f64 = 2e-4;
 /// The weight of no light where nothing is measured; that of a square is about 1.
 const WEAK: f64 = 1e-7;
 /// Fewer squares, dark or bright ones, tell nothing of a field.
