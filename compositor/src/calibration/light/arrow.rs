@@ -121,9 +121,14 @@ impl Solved {
 /// Weights for a next round, by Cauchy's function: equations that are far off count little. `away` are their errors in
 /// units of their own deviations, up to a common factor, which is returned.
 pub(super) fn robust_weights(away: &[f64]) -> (Vec<f64>, f64) {
+    robust_weights_above(away, 1e-9)
+}
+
+/// The same for errors whose deviation is known to be no smaller.
+pub(super) fn robust_weights_above(away: &[f64], least: f64) -> (Vec<f64>, f64) {
     // The median of the absolute values is 0.67 standard deviations of normal errors.
     let sigma = super::super::fitting::median(away.iter().map(|it| it.abs()).collect()) / 0.6745;
-    let sigma = if sigma.is_finite() { sigma.max(1e-9) } else { 1.0 };
+    let sigma = if sigma.is_finite() { sigma.max(least) } else { 1.0 };
     (away.iter().map(|it| 1.0 / (1.0 + (it / (2.5 * sigma)).powi(2))).collect(), sigma)
 }
 

@@ -6,7 +6,7 @@
 
 use glam::DVec2;
 
-use super::arrow::{Arrow, robust_weights};
+use super::arrow::{Arrow, robust_weights, robust_weights_above};
 
 /// Light by value: a cubic spline on even knots.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,6 +45,8 @@ const SMOOTHNESS: f64 = 2e-4;
 const WEAK: f64 = 1e-7;
 /// Fewer squares, dark or bright ones, tell nothing of a field.
 const LEAST_SQUARES: usize = 5;
+/// Means of 8-bit values are no better than this, so smaller departures are the spline's.
+const LEAST_ERROR: f64 = 1e-3;
 /// Rounds of weighing anew.
 const N_ROUNDS: usize = 6;
 
@@ -93,7 +95,7 @@ impl Response {
             };
             let errors: Vec<f64> = known.iter().map(away).collect();
             let in_values: Vec<f64> = errors.iter().zip(&slopes).map(|(away, slope)| away / slope).collect();
-            weights = robust_weights(&in_values).0;
+            weights = robust_weights_above(&in_values, LEAST_ERROR).0;
             let white: Vec<f64> = known.iter().map(|it| white_at(&solved.local[it.group], it.place)).collect();
             let parts: Vec<f64> = errors.iter().zip(&white).map(|(away, white)| away / white.max(1e-6)).collect();
             response.error = robust_weights(&parts).1;
