@@ -56,6 +56,8 @@ const USUAL_SIGMA: f64 = 0.004;
 /// Deviations of third differences of the logarithm of light between control points, and of its twist.
 const USUAL_THIRD: f64 = 0.01;
 const USUAL_TWIST: f64 = 0.03;
+/// The weight of no light where nothing is measured; that of a square is 1 or so.
+const UNMEASURED: f64 = 1e-6;
 /// Half of the projectors must lie this far apart in two photographs, in halves of the diagonal, or vignetting is not told.
 const LEAST_MOVED: f64 = 0.06;
 /// Rounds of weighing anew.
@@ -106,7 +108,8 @@ impl Fields {
                 for (row, deviation) in &smooth {
                     arrow.add(block, row, &[], 0.0, (sigma / deviation).powi(2));
                 }
-                arrow.add(block, &[(0, 1.0)], &[], 0.0, 1e-9 * weak);
+                // A projector that nothing measures is somewhere, too.
+                (0..N_POINTS).for_each(|point| arrow.add(block, &[(point, 1.0)], &[], 0.0, UNMEASURED));
                 let colours = [0, 1, 2].map(|channel| (N_POINTS + channel, 1.0));
                 arrow.add(block, &colours, &[], 0.0, 1e4 * weak);
                 colours.iter().for_each(|colour| arrow.add(block, &[*colour], &[], 0.0, 1e-9 * weak));
