@@ -4,8 +4,8 @@
 //! crossings of checkerboards, `lattice` puts them together, and [`identify`] says which projector shows them; [`solve`]
 //! works out where projectors' pixels lie, with the camera's [`lens`], and `adjust` refines it; [`place`] lays the canvas
 //! there. On a wall that is not flat `bent` solves, `bundle` refines, and `unroll` lays the canvas there and makes meshes.
-//! [`verdict`] says which projectors were found, and whether to believe it. `fitting` has what several of these
-//! compute.
+//! [`verdict`] says which projectors were found, and whether to believe it. [`light`] finds projectors' light in the same way.
+//! `fitting` has what several of these compute.
 
 mod adjust;
 mod bent;
@@ -16,6 +16,7 @@ mod fitting;
 pub mod identify;
 mod lattice;
 pub mod lens;
+pub mod light;
 pub mod pattern;
 pub mod photograph;
 pub mod place;
@@ -25,6 +26,7 @@ pub mod verdict;
 
 pub use self::{
     identify::Codebook,
+    light::{LightVerdict, judge_light},
     pattern::Plan,
     photograph::Photograph,
     place::Placement,

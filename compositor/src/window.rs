@@ -73,10 +73,15 @@ impl WindowLoop {
         Waker(self.0.create_proxy())
     }
 
-    /// Opens the windows and shows calibration patterns until `on_news` breaks, or a person ends them. See
-    /// [`calibrating::Patterns`].
-    pub(crate) fn show_patterns(self, wall: &Wall, plan: &Plan, on_news: OnNews<'_>) -> anyhow::Result<()> {
-        let mut patterns = calibrating::Patterns::new(wall, plan, on_news);
+    /// Opens the windows and shows the first calibration patterns of a plan until `on_news` breaks, or a person ends them.
+    /// See [`calibrating::Patterns`].
+    pub(crate) fn show_patterns(
+        self,
+        wall: &Wall,
+        (plan, n_patterns): (&Plan, u32),
+        on_news: OnNews<'_>,
+    ) -> anyhow::Result<()> {
+        let mut patterns = calibrating::Patterns::new(wall, (plan, n_patterns), on_news);
         self.0.run_app(&mut patterns).context("the display connection failed")?;
         patterns.into_outcome()
     }

@@ -45,6 +45,8 @@ mod http;
 #[cfg(test)]
 mod liars;
 #[cfg(test)]
+mod lighting;
+#[cfg(test)]
 mod losses;
 #[cfg(test)]
 mod map_grid;

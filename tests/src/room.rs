@@ -4,12 +4,14 @@
 //! It shares only the wall file's numbers with the code under test: it solves the geometry as linear equations, and adds
 //! up light. A projector's pixel gives light like a tent two pixels wide, as through a lens, and its black's light always.
 //!
-//! [`surface`] has walls of any shape; [`camera`] photographs projectors that truly stand in the room, and [`rig`] aligns a
-//! wall with it. [`bent`] shows walls with meshes there.
+//! [`surface`] has walls of any shape; [`camera`] photographs the true projectors of [`projector`], [`rig`] aligns a wall
+//! with them, and [`light`] says how even its light is then. [`bent`] shows walls with meshes there.
 
 pub(crate) mod bent;
 pub(crate) mod camera;
 mod geometry;
+pub(crate) mod light;
+pub(crate) mod projector;
 pub(crate) mod rig;
 pub(crate) mod surface;
 
@@ -20,7 +22,7 @@ use compositor::{
 use glam::DVec2;
 use proptest::prelude::*;
 
-use self::camera::TrueProjector;
+use self::projector::TrueProjector;
 use crate::{
     optics::{CROOKED, FALL_OFF, shipped, uneven},
     pictures::{Frame, draw, gpu, statue_frame},

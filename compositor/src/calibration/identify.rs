@@ -81,7 +81,7 @@ impl<'a> Codebook<'a> {
         let mut places: HashMap<u32, Vec<Place>> = HashMap::new();
         let mut n_places = 0_u64;
         for (projector_idx, board) in plan.boards.iter().enumerate() {
-            for pattern in 0..plan.n_patterns {
+            for pattern in 0..plan.n_with_light() {
                 let [columns, rows] = board.squares.map(|it| it as i32 - WINDOW + 1);
                 for at in (0..rows).flat_map(|row| (0..columns).map(move |column| IVec2::new(column, row))) {
                     let read = |square: IVec2| {
@@ -96,6 +96,11 @@ impl<'a> Codebook<'a> {
         }
         let n_bits = (n_places.max(1) as f64 * TURNS.len() as f64).log2();
         Self { plan, places, n_bits }
+    }
+
+    /// The patterns whose windows it holds.
+    pub(super) fn plan(&self) -> &'a Plan {
+        self.plan
     }
 
     /// The parts of patterns that a lattice shows; none if it belongs to another wall, or is no pattern.

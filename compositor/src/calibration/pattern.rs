@@ -4,9 +4,13 @@
 //! it is on, and where: Morano et al., "Structured Light Using Pseudorandom Codes" (1998). Crossings of a checkerboard
 //! stay where they are under blur, exposure and any response curve. Each photograph can be read by itself, so a camera
 //! may move between two, and their order does not matter; Gray codes and phase shifts need a tripod, and ten times as many.
+//!
+//! Patterns of light are boards as well, with the same dots. Their squares have inks instead of black and white, by which
+//! the light of projectors is measured.
 
 use glam::{DMat3, DVec2, DVec3};
 
+use super::light::Ink;
 use crate::wall::{PixelRect, Projector, Wall, homography::apply};
 
 /// A projector's pixels and their likely place.
@@ -40,7 +44,7 @@ pub struct Plan {
     seed: u64,
     /// One for each projector.
     pub(super) boards: Vec<Board>,
-    /// The number of patterns.
+    /// The number of patterns that show places; as many that show light follow.
     pub(super) n_patterns: u32,
     shapes: Vec<Shape>,
 }
@@ -131,7 +135,7 @@ impl Plan {
     /// Whether a projector shows a square in a pattern.
     fn shows(&self, pattern: u32, projector_idx: usize, square: [u32; 2]) -> bool {
         let board = &self.boards[projector_idx];
-        if board.set == pattern {
+        if board.set == pattern % self.n_patterns {
             return true;
         }
         let own = &self.shapes[projector_idx];
@@ -141,15 +145,26 @@ impl Plan {
         !others.into_iter().any(|(_, other)| contains(other, on_canvas))
     }
 
-    /// The number of patterns.
+    /// The number of patterns that show places: numbers from 0.
     pub fn n_patterns(&self) -> u32 {
         self.n_patterns
     }
 
-    /// A pattern on the projectors of an output, which shows `part` of the spanning output: grey values of 0 or 255, row
-    /// by row from the top left.
-    pub fn draw(&self, pattern: u32, wall: &Wall, part: PixelRect) -> Vec<u8> {
-        let mut values = vec![0; part.width as usize * part.height as usize];
+    /// The number of all patterns: those that show places, then those that show light.
+    pub fn n_with_light(&self) -> u32 {
+        2 * self.n_patterns
+    }
+
+    /// The ink of a square that has no dot and is shown in a pattern of light; `None` for all others.
+    pub(super) fn ink(&self, pattern: u32, projector_idx: usize, square: [u32; 2]) -> Option<Ink> {
+        let is_plain = self.shows(pattern, projector_idx, square) && !self.bit(pattern, projector_idx, square);
+        (pattern >= self.n_patterns && is_plain).then(|| Ink::of_square(pattern, square, is_white(square)))
+    }
+
+    /// A pattern on the projectors of an output, which shows `part` of the spanning output: red, green and blue, row by
+    /// row from the top left.
+    pub fn draw(&self, pattern: u32, wall: &Wall, part: PixelRect) -> Vec<[u8; 3]> {
+        let mut values = vec![[0; 3]; part.width as usize * part.height as usize];
         for (projector_idx, Projector { output, .. }) in wall.projectors().iter().enumerate() {
             if part.contains_rect(output) {
                 let first = (output.y - part.y) as usize * part.width as usize + (output.x - part.x) as usize;
@@ -159,20 +174,24 @@ impl Plan {
         values
     }
 
-    fn draw_board(&self, pattern: u32, projector_idx: usize, stride: usize, values: &mut [u8]) {
+    fn draw_board(&self, pattern: u32, projector_idx: usize, stride: usize, values: &mut [[u8; 3]]) {
         let board = &self.boards[projector_idx];
         for square in (0..board.squares[1]).flat_map(|row| (0..board.squares[0]).map(move |column| [column, row])) {
             if !self.shows(pattern, projector_idx, square) {
                 continue;
             }
             let has_dot = self.bit(pattern, projector_idx, square);
+            let ink = (pattern >= self.n_patterns).then(|| Ink::of_square(pattern, square, is_white(square)));
             let is_white = is_white(square);
             for (x, y) in (0..board.side).flat_map(|y| (0..board.side).map(move |x| (x, y))) {
                 let from_centre = DVec2::new(f64::from(x), f64::from(y)) + 0.5 - f64::from(board.side) / 2.0;
                 let is_dot = has_dot && from_centre.length() < DOT_RADIUS * f64::from(board.side);
                 let [column, row] = [0, 1].map(|axis| board.origin[axis] + square[axis] * board.side);
                 let index = (row + y) as usize * stride + (column + x) as usize;
-                values[index] = if is_white != is_dot { 255 } else { 0 };
+                values[index] = match ink {
+                    Some(ink) if !is_dot => ink.value([column + x, row + y]),
+                    _ => [if is_white != is_dot { 255 } else { 0 }; 3],
+                };
             }
         }
     }
@@ -188,6 +207,16 @@ impl Board {
     pub(super) fn corner_px(&self, [column, row]: [f64; 2]) -> DVec2 {
         let origin = DVec2::from(self.origin.map(f64::from));
         origin + f64::from(self.side) * DVec2::new(column, row)
+    }
+
+    /// The way back from [`Board::corner_px`].
+    pub(super) fn corner_at(&self, px: DVec2) -> DVec2 {
+        (px - DVec2::from(self.origin.map(f64::from))) / f64::from(self.side)
+    }
+
+    /// Columns and rows of the projector's pixels.
+    pub(super) fn size_px(&self) -> DVec2 {
+        DVec2::from(self.size.map(f64::from))
     }
 }
 

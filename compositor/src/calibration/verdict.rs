@@ -7,6 +7,7 @@ use super::{
     fitting::median,
     identify::Codebook,
     lattice,
+    light::{ColourAt, LightShot, samples},
     pattern::Plan,
     photograph::Photograph,
     place::{Placement, warp_px},
@@ -19,8 +20,10 @@ use crate::wall::{Flip, Wall};
 pub struct Reading {
     /// The photograph's name, for messages.
     pub name: String,
-    /// The parts of patterns in it.
+    /// The parts of patterns in it that show places.
     pub shot: Shot,
+    /// The squares of patterns of light in it.
+    pub light: LightShot,
     /// The cause that it shows none, with the cure.
     fault: Option<String>,
 }
@@ -46,11 +49,22 @@ pub(super) const LEAST_COVERED: f64 = 0.6;
 const FARTHEST_VIEW: f64 = 5.0;
 
 impl Reading {
-    /// Reads a photograph.
+    /// Reads a photograph without colours.
     pub fn new(name: String, photograph: &Photograph, codebook: &Codebook<'_>) -> Self {
+        let grey_at = |x: usize, y: usize| [photograph.values[y * photograph.size[0] + x]; 3];
+        Self::with_colours(name, photograph, &grey_at, codebook)
+    }
+
+    /// Reads a photograph, of which `colour_at` tells red, green and blue of each pixel.
+    pub fn with_colours(
+        name: String,
+        photograph: &Photograph,
+        colour_at: ColourAt<'_>,
+        codebook: &Codebook<'_>,
+    ) -> Self {
         let crossings = crossing::find(photograph);
         let lattices = lattice::find(photograph, &crossings);
-        let sightings: Vec<_> = lattices.iter().flat_map(|lattice| codebook.identify(lattice)).collect();
+        let mut sightings: Vec<_> = lattices.iter().flat_map(|lattice| codebook.identify(lattice)).collect();
         let fault = sightings.is_empty().then(|| {
             let n_values = photograph.values.len().max(1) as f64;
             let part = |is_such: fn(&f32) -> bool| {
@@ -68,26 +82,37 @@ impl Reading {
             }
             .to_owned()
         });
-        Self { name, shot: Shot { size: photograph.size, sightings }, fault }
+        let plan = codebook.plan();
+        let mut light = LightShot { size: photograph.size, ..LightShot::default() };
+        sightings.iter().filter(|it| it.pattern >= plan.n_patterns()).for_each(|sighting| {
+            samples(plan, sighting, &mut light, colour_at);
+        });
+        // Squares of many inks shift the crossings between them, so patterns of light tell no places.
+        sightings.retain(|sighting| sighting.pattern < plan.n_patterns());
+        Self { name, shot: Shot { size: photograph.size, sightings }, light, fault }
     }
 
     /// The patterns in the photograph, from 0, each once.
     pub fn patterns(&self) -> Vec<u32> {
-        let mut patterns: Vec<u32> = self.shot.sightings.iter().map(|sighting| sighting.pattern).collect();
-        patterns.sort_unstable();
-        patterns.dedup();
-        patterns
+        once(self.parts().map(|(_, pattern)| pattern).collect())
+    }
+
+    /// Projectors with the patterns that they show.
+    fn parts(&self) -> impl Iterator<Item = (usize, u32)> {
+        let places = self.shot.sightings.iter().map(|it| (it.projector_idx, it.pattern));
+        places.chain(self.light.samples.iter().map(|it| (it.projector_idx, it.pattern)))
     }
 
     /// A line on what it shows.
     pub fn line(&self, wall: &Wall) -> String {
-        let Self { name, shot, fault } = self;
+        let Self { name, fault, .. } = self;
         if let Some(fault) = fault {
             return format!("{name} {fault}");
         }
         let n_all = wall.projectors().len();
+        let shown = once(self.parts().map(|(projector_idx, _)| projector_idx).collect());
         let missing: Vec<&str> = (0..n_all)
-            .filter(|index| !shot.sightings.iter().any(|sighting| sighting.projector_idx == *index))
+            .filter(|index| !shown.contains(index))
             .map(|index| wall.projectors()[index].name.as_str())
             .collect();
         let patterns =
@@ -99,6 +124,13 @@ impl Reading {
         };
         format!("{name} shows pattern {patterns} on {} of {n_all} projectors{without}", n_all - missing.len())
     }
+}
+
+/// The values, sorted, each once.
+fn once<T: Ord>(mut values: Vec<T>) -> Vec<T> {
+    values.sort_unstable();
+    values.dedup();
+    values
 }
 
 /// Solves a wall from all photographs of it. Without a placement, [`Placement::of_wall`] chooses it.

@@ -1,4 +1,5 @@
-//! Aligns a wall with a camera: patterns on the wall, photographs from a folder, corners or meshes into the wall file.
+//! Aligns a wall with a camera: patterns on the wall, photographs from a folder, corners or meshes into the wall file, and
+//! with `--light` what evens out the projectors' light.
 
 mod photos;
 
@@ -20,20 +21,20 @@ use shared::printable::{counted, printable_line};
 
 use self::photos::{Photo, Watch};
 use crate::{
-    calibration::{Codebook, Placement, Plan, Verdict, judge},
+    calibration::{Codebook, Placement, Plan, Reading, Verdict, judge, judge_light},
     control::alignment::save,
     gpu::RgbImage,
     wall::Wall,
     window::WindowLoop,
 };
 
-/// Aligns a wall with a camera: shows patterns, reads photographs of them, and writes corners or meshes
+/// Aligns a wall with a camera: shows patterns, reads photographs of them, and writes corners or meshes, and light
 ///
 /// Without --photos and --patterns, the patterns are shown on the wall's outputs: Space shows the next one, Escape ends.
 /// With --watch, each photograph of a pattern shows the next one by itself. The order of photographs does not matter.
 #[derive(Clone, Debug, clap::Args)]
 pub struct CalibrateArgs {
-    /// The wall file: it gets the corners, unless a projector was not found or does not fit
+    /// The wall file: it gets what was found, unless a projector was not found or does not fit
     pub file: PathBuf,
     /// Read all photographs in this folder (JPEG, PNG, TIFF), and show nothing
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["watch", "patterns"])]
@@ -44,6 +45,9 @@ pub struct CalibrateArgs {
     /// Write the patterns of each output into this folder as PNG, to show them by other means
     #[arg(long, value_name = "FOLDER")]
     pub patterns: Option<PathBuf>,
+    /// Measure light, too: as many patterns again, from which gamma, black levels, gains and fall-off are written
+    #[arg(long)]
+    pub light: bool,
     /// Where the canvas lies on the wall: where the file's corners have it, as large as is lit, or at its four corners in the
     /// file [default: keep if corners were moved before or nothing overlaps, else largest]
     #[arg(long, value_name = "PLACE", conflicts_with = "marks")]
@@ -51,7 +55,7 @@ pub struct CalibrateArgs {
     /// The canvas's corners are at these pixels of a photograph: upper left, upper right, lower right, lower left
     #[arg(long, value_name = "PHOTO=X,Y,X,Y,X,Y,X,Y", value_parser = marks)]
     pub marks: Option<Marks>,
-    /// Write the corners of all projectors that were found, whatever speaks against them
+    /// Write what was found of all projectors, whatever speaks against it
     #[arg(long)]
     pub force: bool,
 }
@@ -89,7 +93,7 @@ pub fn run(args: &CalibrateArgs) -> anyhow::Result<()> {
     let wall = Wall::load(&args.file)?;
     let plan = Plan::of_wall(&wall).map_err(|problem| anyhow::anyhow!("{}: {problem}", args.file.display()))?;
     if let Some(folder) = &args.patterns {
-        return write_patterns(&wall, &plan, folder);
+        return write_patterns(args, &wall, &plan, folder);
     }
     check_writable(&args.file)?;
     let photos = match (&args.photos, &args.watch) {
@@ -112,26 +116,32 @@ pub fn run(args: &CalibrateArgs) -> anyhow::Result<()> {
     finish(args, &verdict)
 }
 
-fn write_patterns(wall: &Wall, plan: &Plan, folder: &Path) -> anyhow::Result<()> {
+/// The number of patterns to show.
+fn n_patterns(args: &CalibrateArgs, plan: &Plan) -> u32 {
+    if args.light { plan.n_with_light() } else { plan.n_patterns() }
+}
+
+fn write_patterns(args: &CalibrateArgs, wall: &Wall, plan: &Plan, folder: &Path) -> anyhow::Result<()> {
     fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     let monitors = wall.monitors();
     for (index, part) in wall.output_parts().into_iter().enumerate() {
         // Names of monitors are letters and digits; anything else could leave the folder.
         let is_plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';
         let output = monitors.get(index).map(|(name, _)| name.replace(|letter| !is_plain(letter), "_"));
-        for pattern in 0..plan.n_patterns() {
+        for pattern in 0..n_patterns(args, plan) {
             let name = match &output {
                 Some(output) => format!("{output}-pattern-{}.png", pattern + 1),
                 None => format!("pattern-{}.png", pattern + 1),
             };
-            let rgb = plan.draw(pattern, wall, part).into_iter().flat_map(|value| [value; 3]).collect();
+            let rgb = plan.draw(pattern, wall, part).into_flattened();
             RgbImage { size: [part.width, part.height], rgb }.write_png(&folder.join(name))?;
         }
     }
     say(format_args!(
-        "wrote {} for each output into {}; when you have photographed them: compositor calibrate FILE --photos FOLDER",
-        counted(plan.n_patterns(), "pattern"),
-        folder.display()
+        "wrote {} for each output into {}; when you have photographed them: compositor calibrate FILE{} --photos FOLDER",
+        counted(n_patterns(args, plan), "pattern"),
+        folder.display(),
+        if args.light { " --light" } else { "" }
     ))
 }
 
@@ -139,11 +149,13 @@ fn write_patterns(wall: &Wall, plan: &Plan, folder: &Path) -> anyhow::Result<()>
 fn show(args: &CalibrateArgs, wall: &Wall, plan: &Plan) -> anyhow::Result<()> {
     let window = WindowLoop::new()?;
     stop_with(&window);
-    tracing::info!("{}: Space shows the next, Escape ends", counted(plan.n_patterns(), "pattern"));
-    window.show_patterns(wall, plan, Box::new(ControlFlow::Continue))?;
+    let n_patterns = n_patterns(args, plan);
+    tracing::info!("{}: Space shows the next, Escape ends", counted(n_patterns, "pattern"));
+    window.show_patterns(wall, (plan, n_patterns), Box::new(ControlFlow::Continue))?;
     say(format_args!(
-        "put the photographs into a folder, then: compositor calibrate {} --photos FOLDER",
-        args.file.display()
+        "put the photographs into a folder, then: compositor calibrate {}{} --photos FOLDER",
+        args.file.display(),
+        if args.light { " --light" } else { "" }
     ))
 }
 
@@ -158,7 +170,8 @@ fn watch(args: &CalibrateArgs, wall: &Wall, plan: &Plan, folder: &Path) -> anyho
         waker.wake();
     };
     let watch = Watch::start(folder, plan.clone(), report)?;
-    tracing::info!("watching {}: take {} from each place", folder.display(), counted(plan.n_patterns(), "photograph"));
+    let n_patterns = n_patterns(args, plan);
+    tracing::info!("watching {}: take {} from each place", folder.display(), counted(n_patterns, "photograph"));
     let mut photos: Vec<Photo> = Vec::new();
     let on_news = |pattern: u32| {
         let mut next = pattern;
@@ -166,13 +179,13 @@ fn watch(args: &CalibrateArgs, wall: &Wall, plan: &Plan, folder: &Path) -> anyho
             match photo {
                 Ok(photo) => {
                     tracing::info!("{}", photo.reading.line(wall));
-                    let is_last = next + 1 == plan.n_patterns();
+                    let is_last = next + 1 == n_patterns;
                     let is_shown = photo.reading.patterns().contains(&next);
                     photos.push(photo);
                     if !is_shown {
                         continue;
                     }
-                    next = (next + 1) % plan.n_patterns();
+                    next = (next + 1) % n_patterns;
                     if !is_last {
                         continue;
                     }
@@ -187,12 +200,9 @@ fn watch(args: &CalibrateArgs, wall: &Wall, plan: &Plan, folder: &Path) -> anyho
         }
         ControlFlow::Continue(next)
     };
-    window.show_patterns(wall, plan, Box::new(on_news))?;
+    window.show_patterns(wall, (plan, n_patterns), Box::new(on_news))?;
     drop(watch);
-    match Stopped::by_signal(format!(
-        "stopped before the corners were written: {} stays as it was",
-        args.file.display()
-    )) {
+    match Stopped::by_signal(format!("stopped before anything was written: {} stays as it was", args.file.display())) {
         Some(stopped) => Err(stopped.into()),
         None => Ok(photos),
     }
@@ -217,7 +227,25 @@ fn verdict(args: &CalibrateArgs, wall: &Wall, plan: &Plan, photos: &[Photo]) -> 
         (None, None) => None,
     };
     let readings: Vec<_> = photos.iter().map(|photo| photo.reading.clone()).collect();
-    Ok(judge(wall, plan, &readings, placement.as_ref()))
+    let shows_places = readings.iter().any(|reading| !reading.shot.sightings.is_empty());
+    let shows_light = readings.iter().any(|reading| !reading.light.samples.is_empty());
+    let verdict = match (args.light && shows_light && !shows_places, &args.marks) {
+        (true, None) => {
+            let found = vec!["no photograph shows patterns of places, so corners stay as the file has them".to_owned()];
+            Verdict { wall: None, found, faults: Vec::new() }
+        }
+        _ => judge(wall, plan, &readings, placement.as_ref()),
+    };
+    Ok(if args.light { with_light(wall, verdict, &readings) } else { verdict })
+}
+
+/// The verdict with light, which is measured where the corners that were found have projectors' pixels.
+fn with_light(wall: &Wall, verdict: Verdict, readings: &[Reading]) -> Verdict {
+    let Verdict { wall: aligned, mut found, mut faults } = verdict;
+    let light = judge_light(aligned.as_ref().unwrap_or(wall), readings);
+    found.extend(light.found);
+    faults.extend(light.faults);
+    Verdict { wall: light.wall.or(aligned), found, faults }
 }
 
 /// A pixel of a photograph as it is stored, from that of the photograph as viewers show it.
@@ -232,7 +260,7 @@ fn stored(at: DVec2, [width, height]: [usize; 2], orientation: Orientation) -> D
     }
 }
 
-/// Says what was found, and writes the corners if nothing speaks against them.
+/// Says what was found, and writes it if nothing speaks against that.
 fn finish(args: &CalibrateArgs, Verdict { wall, found, faults }: &Verdict) -> anyhow::Result<()> {
     for line in found {
         say(printable_line(line))?;
@@ -241,16 +269,21 @@ fn finish(args: &CalibrateArgs, Verdict { wall, found, faults }: &Verdict) -> an
         say(format_args!("fault: {}", printable_line(fault)))?;
     }
     let file = args.file.display();
-    let Some(wall) = wall else { bail!("no corners were found, so {file} stays as it was: see the faults above") };
+    let Some(wall) = wall else { bail!("nothing was found, so {file} stays as it was: see the faults above") };
     if !faults.is_empty() && !args.force {
         bail!(
-            "{} above, so {file} stays as it was: mend what they name, or write the corners that were found with --force",
+            "{} above, so {file} stays as it was: mend what they name, or write what was found with --force",
             counted(faults.len(), "fault")
         );
     }
     let old = save::keep_old(&args.file)?;
-    save::save_warps(&args.file, &save::save_meshes(&args.file, wall)?)?;
-    let what = if wall.surface().is_some() { "meshes" } else { "corners" };
+    save::save_projectors(&args.file, &save::save_meshes(&args.file, wall)?)?;
+    let what = match (wall.surface().is_some(), args.light) {
+        (true, false) => "meshes",
+        (false, false) => "corners",
+        (true, true) => "meshes and light",
+        (false, true) => "corners and light",
+    };
     say(format_args!(
         "wrote the {what} into {file}; the old file is {}; N on the wall shows the alignment grid",
         old.display()

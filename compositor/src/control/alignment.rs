@@ -265,7 +265,7 @@ impl Alignment {
             return Ok("No corner has moved: there is nothing to save".to_owned());
         }
         let file = self.file.as_deref().with_context(|| format!("the corners cannot be saved: {NO_FILE}"))?;
-        save::save_warps(file, &self.wall)?;
+        save::save_projectors(file, &self.wall)?;
         self.saved = self.wall.projectors().to_vec();
         Ok(format!("saved the corners in {}", file.display()))
     }

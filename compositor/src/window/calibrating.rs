@@ -32,6 +32,7 @@ pub(crate) type OnNews<'a> = Box<dyn FnMut(u32) -> ControlFlow<(), u32> + 'a>;
 pub(super) struct Patterns<'a> {
     wall: &'a Wall,
     plan: &'a Plan,
+    n_patterns: u32,
     on_news: OnNews<'a>,
     outputs: Outputs,
     pattern: u32,
@@ -41,11 +42,11 @@ pub(super) struct Patterns<'a> {
 }
 
 impl<'a> Patterns<'a> {
-    pub(super) fn new(wall: &'a Wall, plan: &'a Plan, on_news: OnNews<'a>) -> Self {
+    pub(super) fn new(wall: &'a Wall, (plan, n_patterns): (&'a Plan, u32), on_news: OnNews<'a>) -> Self {
         let mut outputs = Outputs::new(wall, true);
         outputs.show_cursor(false);
         outputs.set_title("Patterns – Raywall".to_owned());
-        Self { wall, plan, on_news, outputs, pattern: 0, is_stale: true, outcome: Ok(()) }
+        Self { wall, plan, n_patterns, on_news, outputs, pattern: 0, is_stale: true, outcome: Ok(()) }
     }
 
     /// Why the windows closed: `Ok` if a person or the news ended them.
@@ -55,14 +56,14 @@ impl<'a> Patterns<'a> {
 
     fn show(&mut self, pattern: u32) {
         if pattern != self.pattern {
-            tracing::info!("pattern {} of {} is on the wall", pattern + 1, self.plan.n_patterns());
+            tracing::info!("pattern {} of {} is on the wall", pattern + 1, self.n_patterns);
         }
         self.pattern = pattern;
         self.is_stale = true;
     }
 
     fn key(&mut self, event_loop: &ActiveEventLoop, key: &Key) {
-        let n_patterns = self.plan.n_patterns();
+        let n_patterns = self.n_patterns;
         match key.as_ref() {
             Key::Named(NamedKey::Space | NamedKey::ArrowRight) => self.show((self.pattern + 1) % n_patterns),
             Key::Named(NamedKey::ArrowLeft) => self.show((self.pattern + n_patterns - 1) % n_patterns),
@@ -101,7 +102,7 @@ fn images(wall: &Wall, plan: &Plan, pattern: u32) -> anyhow::Result<Vec<PatternI
         })?;
         let values = plan.draw(pattern, wall, part);
         let rows = values.chunks(part.width as usize).rev();
-        let rgba = rows.flatten().flat_map(|&value| [value, value, value, 255]).collect();
+        let rgba = rows.flatten().flat_map(|&[red, green, blue]| [red, green, blue, 255]).collect();
         Ok(PatternImage::of_output(part, size, rgba))
     };
     wall.output_parts().into_iter().map(image).collect()

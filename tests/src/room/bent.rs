@@ -8,7 +8,7 @@ use compositor::{
 };
 use glam::DVec2;
 
-use super::{Room, camera::TrueProjector, check_room, rig::Rig, surface::Surface};
+use super::{Room, check_room, projector::TrueProjector, rig::Rig, surface::Surface};
 use crate::pictures::{Frame, check_twin, draw, gpu};
 
 /// One projector hangs upside down, and one projects from behind; light of their own.

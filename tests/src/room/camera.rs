@@ -1,13 +1,13 @@
-//! A camera in the virtual room, and the projectors that it sees: pinholes in space, with true lenses and sensors.
+//! A camera in the virtual room: a pinhole in space, with a true lens and sensor.
 //!
 //! Lengths are metres: x is right, y up, z towards the audience. Points of the wall are places on it unrolled, as in
 //! [`super::surface`]. It shares no code with the wall's.
 
 use glam::{DVec2, DVec3};
-use image::{ExtendedColorType, GrayImage, ImageFormat, codecs::jpeg::JpegEncoder};
+use image::{ExtendedColorType, GrayImage, ImageFormat, RgbImage, codecs::jpeg::JpegEncoder};
 use rayon::prelude::*;
 
-use super::surface::Surface;
+use super::{projector::TrueProjector, surface::Surface};
 
 /// The geometry of projectors and cameras.
 #[derive(Clone, Copy, Debug)]
@@ -62,62 +62,6 @@ impl Pinhole {
     }
 }
 
-/// A projector where it truly stands.
-#[derive(Clone, Debug)]
-pub(crate) struct TrueProjector {
-    pub(crate) pinhole: Pinhole,
-    pub(crate) size: [usize; 2],
-    /// Whether it projects from behind: left and right are exchanged.
-    pub(crate) is_mirrored: bool,
-    /// The values that it shows: row by row from the top left; empty if it is off.
-    pub(crate) shown: Vec<u8>,
-}
-
-impl TrueProjector {
-    fn unmirrored(&self, px: DVec2) -> DVec2 {
-        if self.is_mirrored { DVec2::new(self.size[0] as f64 - px.x, px.y) } else { px }
-    }
-
-    /// The pixel that lights a point of the wall, as stored.
-    pub(crate) fn px(&self, point: DVec2) -> DVec2 {
-        self.unmirrored(self.pinhole.px(point))
-    }
-
-    /// The point of the wall that a pixel lights.
-    pub(crate) fn point(&self, px: DVec2) -> DVec2 {
-        self.pinhole.point(self.unmirrored(px))
-    }
-
-    /// Whether it may light pixels of a photograph near the one that shows a point.
-    fn may_light(&self, point: DVec2) -> bool {
-        let margin = DVec2::splat(4.0 * RUN as f64);
-        let (px, size) = (self.px(point), DVec2::new(self.size[0] as f64, self.size[1] as f64));
-        px.cmpge(-margin).all() && px.cmple(size + margin).all()
-    }
-
-    /// The light that it gives a point; white is 1 at the centre of its picture, and black a three-hundredth.
-    fn light(&self, point: DVec2) -> f64 {
-        let [width, height] = self.size;
-        let at = self.px(point) - 0.5;
-        let reaches = at.x > -1.0 && at.y > -1.0 && at.x < width as f64 && at.y < height as f64;
-        if self.shown.is_empty() || !reaches {
-            return 0.0;
-        }
-        let (from, part) = (at.floor(), at - at.floor());
-        let mut light = 0.0;
-        for (y, y_weight) in [(from.y, 1.0 - part.y), (from.y + 1.0, part.y)] {
-            for (x, x_weight) in [(from.x, 1.0 - part.x), (from.x + 1.0, part.x)] {
-                if x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64 {
-                    let value = f64::from(self.shown[y as usize * width + x as usize]) / 255.0;
-                    light += x_weight * y_weight * (0.003 + 0.997 * value.powf(2.2));
-                }
-            }
-        }
-        let from_centre = at / DVec2::new(width as f64, height as f64) - 0.5;
-        light * (1.0 - 0.5 * from_centre.length_squared())
-    }
-}
-
 /// A camera: where it is, its lens, its sensor, and the file that it writes.
 #[derive(Clone, Debug)]
 pub(crate) struct Camera {
@@ -136,7 +80,12 @@ pub(crate) struct Camera {
     pub(crate) blur_px: f64,
     /// The quality of the JPEG; `None` writes a PNG.
     pub(crate) jpeg: Option<u8>,
+    /// What its red, green and blue see of projectors' red, green and blue; `None` for a camera without colours.
+    pub(crate) colours: Option<[[f64; 3]; 3]>,
 }
+
+/// The channels of cameras without colours.
+const GREY: [f64; 3] = [0.25, 0.5, 0.25];
 
 /// Pixels of a photograph for which projectors are chosen together; each is smaller than four of a projector's.
 const RUN: usize = 16;
@@ -181,55 +130,71 @@ impl Camera {
     pub(crate) fn photograph(&self, projectors: &[TrueProjector], obstacle: Option<Obstacle>, seed: u64) -> Vec<u8> {
         let [width, height] = self.size;
         let size = DVec2::new(width as f64, height as f64);
-        let mut light = vec![0_f32; width * height];
-        light.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+        let n_channels = if self.colours.is_some() { 3 } else { 1 };
+        let seen_by: Vec<[f64; 3]> = self.colours.map_or(vec![GREY], |colours| colours.to_vec());
+        let mut light = vec![0_f32; n_channels * width * height];
+        light.par_chunks_mut(n_channels * width).enumerate().for_each(|(y, row)| {
             // Within a pixel, the way to the wall is linear.
             let edge = |x: usize| [y, y + 1].map(|y| self.point(DVec2::new(x as f64, y as f64)));
             let mut left = edge(0);
             let mut near: Vec<&TrueProjector> = Vec::new();
-            for (x, out) in row.iter_mut().enumerate() {
+            for (x, out) in row.chunks_exact_mut(n_channels).enumerate() {
                 let right = edge(x + 1);
                 if x % RUN == 0 {
-                    near = projectors.iter().filter(|projector| projector.may_light(left[0])).collect();
+                    near = projectors.iter().filter(|it| it.is_near(left[0], 4.0 * RUN as f64)).collect();
                 }
-                let mut sum = 0.0;
+                let mut sum = [0.0; 3];
                 for (s, t) in [(0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)] {
                     let point = left[0].lerp(right[0], s).lerp(left[1].lerp(right[1], s), t);
-                    sum += near.iter().map(|projector| projector.light(point)).sum::<f64>() / 4.0;
+                    for light in near.iter().map(|projector| projector.light_at(point)) {
+                        sum = std::array::from_fn(|channel| sum[channel] + light[channel] / 4.0);
+                    }
                 }
                 let at = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
                 let is_hidden =
                     obstacle.is_some_and(|[from, to]| at.cmpge(from * size).all() && at.cmple(to * size).all());
                 let vignette = (1.0 + 1.2 * ((at - size / 2.0) / size.x).length_squared()).powi(-2);
-                let seen = if is_hidden { 0.3 * self.ambient } else { sum + self.ambient };
-                *out = (seen * vignette * self.exposure) as f32;
+                // The room is a little brighter on one side.
+                let ambient = self.ambient * (1.0 + 0.3 * (at.x / size.x - 0.5));
+                for (out, seen_by) in out.iter_mut().zip(&seen_by) {
+                    let projected: f64 = std::iter::zip(seen_by, sum).map(|(part, light)| part * light).sum();
+                    let seen = if is_hidden { 0.3 * ambient } else { projected + ambient };
+                    *out = (seen * vignette * self.exposure) as f32;
+                }
                 left = right;
             }
         });
-        let light = blurred(&blurred(&light, [width, height], self.blur_px), [height, width], self.blur_px);
-        let mut values = vec![0_u8; width * height];
-        values.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
-            let mut random = Random::new(seed ^ ((y as u64 + 1) << 32));
-            for (x, out) in row.iter_mut().enumerate() {
-                let light = f64::from(light[y * width + x]);
-                let noisy = light + random.normal() * self.noise * (light.max(0.0) + 0.02).sqrt();
-                *out = (255.0 * response(noisy.clamp(0.0, 1.0))).round() as u8;
-            }
-        });
+        let mut values = vec![0_u8; light.len()];
+        for channel in 0..n_channels {
+            let plane: Vec<f32> = light.iter().skip(channel).step_by(n_channels).copied().collect();
+            let plane = blurred(&blurred(&plane, [width, height], self.blur_px), [height, width], self.blur_px);
+            values.par_chunks_mut(n_channels * width).enumerate().for_each(|(y, row)| {
+                let mut random = Random::new(seed ^ (channel as u64) << 16 ^ ((y as u64 + 1) << 32));
+                for (x, out) in row.iter_mut().skip(channel).step_by(n_channels).enumerate() {
+                    let light = f64::from(plane[y * width + x]);
+                    let noisy = light + random.normal() * self.noise * (light.max(0.0) + 0.02).sqrt();
+                    *out = (255.0 * response(noisy.clamp(0.0, 1.0))).round() as u8;
+                }
+            });
+        }
         self.encoded(values)
     }
 
     fn encoded(&self, values: Vec<u8>) -> Vec<u8> {
         let [width, height] = self.size.map(|side| side as u32);
         let mut file = std::io::Cursor::new(Vec::new());
-        match self.jpeg {
-            Some(quality) => {
-                let rgb: Vec<u8> = values.iter().flat_map(|value| [*value; 3]).collect();
+        match (self.jpeg, self.colours) {
+            (Some(quality), _) => {
+                let is_grey = self.colours.is_none();
+                let rgb = if is_grey { values.iter().flat_map(|value| [*value; 3]).collect() } else { values };
                 let mut encoder = JpegEncoder::new_with_quality(&mut file, quality);
                 encoder.encode(&rgb, width, height, ExtendedColorType::Rgb8)
             }
-            None => GrayImage::from_raw(width, height, values)
+            (None, None) => GrayImage::from_raw(width, height, values)
                 .expect("a value a pixel")
+                .write_to(&mut file, ImageFormat::Png),
+            (None, Some(_)) => RgbImage::from_raw(width, height, values)
+                .expect("three values a pixel")
                 .write_to(&mut file, ImageFormat::Png),
         }
         .expect("memory takes every photograph");
@@ -237,10 +202,11 @@ impl Camera {
     }
 }
 
-/// The grey values of a photograph's file, from 0 to 1.
-pub(crate) fn decoded(file: &[u8]) -> Vec<f32> {
+/// The grey values of a photograph's file, from 0 to 1, and its colours.
+pub(crate) fn decoded(file: &[u8]) -> (Vec<f32>, RgbImage) {
     let image = image::load_from_memory(file).expect("a photograph that was encoded here");
-    image.into_luma8().into_raw().into_iter().map(|value| f32::from(value) / 255.0).collect()
+    let grey = image.to_luma8().into_raw().into_iter().map(|value| f32::from(value) / 255.0).collect();
+    (grey, image.into_rgb8())
 }
 
 /// A camera's curve: sRGB's with more contrast in the middle.

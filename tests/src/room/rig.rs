@@ -9,8 +9,9 @@ use compositor::{
 use glam::{DVec2, DVec3};
 
 use super::{
-    camera::{Camera, Obstacle, Pinhole, Random, TrueProjector, decoded},
+    camera::{Camera, Obstacle, Pinhole, Random, decoded},
     geometry,
+    projector::{TrueLight, TrueProjector},
     surface::Surface,
 };
 
@@ -58,6 +59,7 @@ impl Rig {
                 pinhole: Pinhole::new(Surface::Flat, position, aims, roll, focal_px, size_px / 2.0),
                 size: [width as usize, height as usize],
                 is_mirrored: projector.flip != compositor::wall::Flip::None,
+                light: Arc::new(TrueLight::usual()),
                 shown: Vec::new(),
             }
         };
@@ -97,6 +99,7 @@ impl Rig {
                 pinhole: Pinhole::new(surface, position, centre + astray(), roll, focal_px, size_px / 2.0),
                 size: pixels.map(|side| side as usize),
                 is_mirrored: projector.flip != compositor::wall::Flip::None,
+                light: Arc::new(TrueLight::usual()),
                 shown: Vec::new(),
             }
         };
@@ -136,6 +139,7 @@ impl Rig {
             noise: 0.03,
             blur_px: 0.7,
             jpeg: None,
+            colours: None,
         }
     }
 
@@ -157,8 +161,25 @@ impl Rig {
         obstacle: Option<Obstacle>,
         seed: u64,
     ) -> Reading {
-        let values = decoded(&camera.photograph(&self.projectors, obstacle, seed));
-        Reading::new(name.to_owned(), &Photograph { size: camera.size, values }, codebook)
+        let (values, colours) = decoded(&camera.photograph(&self.projectors, obstacle, seed));
+        let colour_at =
+            |x: usize, y: usize| colours.get_pixel(x as u32, y as u32).0.map(|value| f32::from(value) / 255.0);
+        Reading::with_colours(name.to_owned(), &Photograph { size: camera.size, values }, &colour_at, codebook)
+    }
+
+    /// Gives each projector a light of its own: lamps of different age, and lenses that are not quite straight.
+    pub(crate) fn with_lights(mut self, seed: u64) -> Self {
+        let mut random = Random::new(seed);
+        for projector in &mut self.projectors {
+            let mut around = |middle: f64, most: f64| middle + random.around(most);
+            let lamp = around(0.9, 0.1);
+            let white = [0, 1, 2].map(|_| lamp * around(0.96, 0.04));
+            let black = around(0.004, 0.002);
+            let brightest = DVec2::new(around(0.5, 0.1), around(0.5, 0.1));
+            let light = TrueLight::new(around(2.2, 0.25), white, [black; 3], brightest, around(0.3, 0.1));
+            projector.light = Arc::new(light);
+        }
+        self
     }
 
     /// How well the wall's file and the room agree if it has the corners of `wall`.

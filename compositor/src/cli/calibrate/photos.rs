@@ -15,7 +15,7 @@ use std::{
 
 use anyhow::{Context, bail};
 use channel::files;
-use image::{DynamicImage, ImageDecoder, ImageReader, metadata::Orientation};
+use image::{DynamicImage, ImageDecoder, ImageReader, RgbImage, metadata::Orientation};
 
 use crate::calibration::{Codebook, Photograph, Plan, Reading};
 
@@ -87,11 +87,29 @@ impl Photo {
         }
         let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
         let image = DynamicImage::from_decoder(decoder).map_err(|error| fault(&error))?;
-        let grey = image.into_luma16();
+        let grey = image.to_luma16();
         let values = grey.as_raw().iter().map(|value| f32::from(*value) / 65535.0).collect();
-        let photograph = Photograph { size: [width as usize, height as usize], values };
         drop(grey);
-        Ok(Self { reading: Reading::new(name, &photograph, codebook), orientation })
+        let photograph = Photograph { size: [width as usize, height as usize], values };
+        let reading = match image {
+            DynamicImage::ImageRgb8(colours) => Self::read_colours(name, &photograph, &colours, codebook),
+            // Files of raw developers have 16 bits.
+            DynamicImage::ImageRgb16(_) | DynamicImage::ImageLuma16(_) | DynamicImage::ImageRgba16(_) => {
+                let colours = image.into_rgb16();
+                let colour_at = |x: usize, y: usize| {
+                    colours.get_pixel(x as u32, y as u32).0.map(|value| f32::from(value) / 65535.0)
+                };
+                Reading::with_colours(name, &photograph, &colour_at, codebook)
+            }
+            other => Self::read_colours(name, &photograph, &other.into_rgb8(), codebook),
+        };
+        Ok(Self { reading, orientation })
+    }
+
+    fn read_colours(name: String, photograph: &Photograph, colours: &RgbImage, codebook: &Codebook<'_>) -> Reading {
+        let colour_at =
+            |x: usize, y: usize| colours.get_pixel(x as u32, y as u32).0.map(|value| f32::from(value) / 255.0);
+        Reading::with_colours(name, photograph, &colour_at, codebook)
     }
 }
 
