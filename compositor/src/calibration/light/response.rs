@@ -57,9 +57,7 @@ impl Response {
         known.iter().for_each(|it| n_of[it.group][usize::from(it.part >= 0.5)] += 1);
         let is_told = |it: &&Known| n_of[it.group].iter().all(|n| *n >= LEAST_SQUARES);
         let known: Vec<Known> = known.iter().filter(is_told).copied().collect();
-        let range = known.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], it| {
-            [f64::min(least, it.value), f64::max(most, it.value)]
-        });
+        let range = extent(known.iter().map(|it| it.value));
         let white_range = range[1] - range[0];
         if known.is_empty() || white_range < 0.1 {
             return None;
@@ -100,8 +98,11 @@ impl Response {
             let parts: Vec<f64> = errors.iter().zip(&white).map(|(away, white)| away / white.max(1e-6)).collect();
             response.error = robust_weights(&parts).1;
         }
-        // Where few values are, at the ends, the slope may be anything.
-        let grows = (5..=95).all(|step| response.slope(range[0] + white_range * f64::from(step) / 100.0) > 0.0);
+        // Values of squares that do not fit tell nothing.
+        response.range =
+            extent(known.iter().zip(&weights).filter(|(_, weight)| **weight > 0.5).map(|(it, _)| it.value));
+        let [least, most] = response.range;
+        let grows = (0..=100).all(|step| response.slope(least + (most - least) * f64::from(step) / 100.0) > 0.0);
         (grows && response.coefficients.iter().all(|it| it.is_finite())).then_some(response)
     }
 
@@ -121,6 +122,11 @@ impl Response {
         ];
         (0..4).map(|n| weights[n] * self.coefficients[first + n]).sum::<f64>() * N_INTERVALS as f64
     }
+}
+
+/// The least and the greatest value.
+fn extent(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], it| [f64::min(least, it), f64::max(most, it)])
 }
 
 /// The coefficients of sRGB's curve, nearly.
