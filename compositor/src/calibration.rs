@@ -4,14 +4,17 @@
 //! crossings of checkerboards, `lattice` puts them together, and [`identify`] says which projector shows them; [`solve`]
 //! works out where projectors' pixels lie, with the camera's [`lens`], and `adjust` refines it; [`place`] lays the canvas
 //! there. On a wall that is not flat `bent` solves, `bundle` refines, and `unroll` lays the canvas there and makes meshes.
-//! [`verdict`] says which projectors were found, and whether to believe it. [`light`] finds projectors' light in the same way.
+//! [`verdict`] says which projectors were found, and whether to believe it, with a [`finding`] on each; `again` aligns a
+//! wall again after a bump. [`light`] finds projectors' light in the same way.
 //! `fitting` has what several of these compute.
 
 mod adjust;
+mod again;
 mod bent;
 mod bent_verdict;
 mod bundle;
 mod crossing;
+pub mod finding;
 mod fitting;
 pub mod identify;
 mod lattice;
@@ -25,6 +28,8 @@ mod unroll;
 pub mod verdict;
 
 pub use self::{
+    again::{check_again, judge_again},
+    finding::Finding,
     identify::Codebook,
     light::{LightVerdict, judge_light},
     pattern::Plan,

@@ -76,7 +76,13 @@ fn step(matrix: &[f64], right: &[f64], damping: f64) -> Option<Vec<f64>> {
 }
 
 impl Layout {
-    pub(super) fn new(shots: &[Shot], shot_maps: &[Option<DMat3>], projector_maps: &[Option<DMat3>]) -> Self {
+    /// Maps of projectors that are held are no parameters.
+    pub(super) fn new(
+        shots: &[Shot],
+        shot_maps: &[Option<DMat3>],
+        projector_maps: &[Option<DMat3>],
+        is_held: &[bool],
+    ) -> Self {
         let mut sizes: Vec<[usize; 2]> = Vec::new();
         let lens_of_shot = shots
             .iter()
@@ -94,10 +100,11 @@ impl Layout {
                 n - 8
             })
         };
-        // The plane is that of the first shot whose map is the identity.
+        // The plane is that of the first shot whose map is the identity, or that of projectors that are held.
         let fixed = shot_maps.iter().position(|map| *map == Some(DMat3::IDENTITY));
         let shot_at = (0..shots.len()).map(|shot| place(shot_maps[shot].is_some() && Some(shot) != fixed)).collect();
-        let projector_at = projector_maps.iter().map(|map| place(map.is_some())).collect();
+        let both = projector_maps.iter().zip(is_held);
+        let projector_at = both.map(|(map, is_held)| place(map.is_some() && !is_held)).collect();
         Self { lens_of_shot, n_lenses: sizes.len(), shot_at, projector_at, n }
     }
 
@@ -108,13 +115,18 @@ impl Layout {
 
     /// How far each observation is from where it should be, in the projector's pixels.
     pub(super) fn distances(&self, estimate: &Estimate, observations: &[&Observation]) -> Vec<f64> {
-        let distance = |it: &&Observation| {
+        self.misses(estimate, observations).into_iter().map(DVec2::length).collect()
+    }
+
+    /// From where each observation should be to where it is, in the projector's pixels.
+    pub(super) fn misses(&self, estimate: &Estimate, observations: &[&Observation]) -> Vec<DVec2> {
+        let miss = |it: &&Observation| {
             let lens = &estimate.lenses[self.lens_of_shot[it.shot]];
             let plane = apply(estimate.shot_maps[it.shot]?, lens.undistorted(it.seen).at)?;
-            Some(apply(estimate.projector_maps[it.projector]?, plane)?.distance(it.px))
+            Some(apply(estimate.projector_maps[it.projector]?, plane)? - it.px)
         };
         // A point beyond a horizon is far.
-        observations.iter().map(|it| distance(it).unwrap_or(1e6)).collect()
+        observations.iter().map(|it| miss(it).unwrap_or(1e6 * DVec2::X)).collect()
     }
 
     /// The estimate after a step of all parameters.

@@ -8,7 +8,7 @@ use super::{
     bundle::{Bundle, Pose, Projection, Seen, projected},
     fitting::{quantile, solve_symmetric},
     lens::Lens,
-    solve::Shot,
+    solve::{Fit, Shot},
 };
 use crate::wall::Surface;
 
@@ -27,8 +27,10 @@ pub(super) struct BentSolution {
     sizes: Vec<DVec2>,
     /// For each projector: crossings as in [`Seen::px`], with their places.
     crossings: Vec<Vec<[DVec2; 2]>>,
-    /// For each projector: half, and nineteen of twenty, of its points are nearer than this to where they should be.
-    pub fits_px: Vec<[f64; 2]>,
+    /// For each projector: how well it fits.
+    fits: Vec<Fit>,
+    /// For each projector: its crossings as in [`Seen::px`], and how far from there they were seen, in pixels.
+    misses: Vec<Vec<[DVec2; 2]>>,
     /// For each shot: half of its points are.
     pub shot_medians_px: Vec<f64>,
 }
@@ -207,8 +209,8 @@ fn fitted(pairs: &[(DVec3, DVec2)]) -> Option<Projection> {
 
 impl BentSolution {
     fn new(bundle: Bundle, surface: Surface, layouts: &[Layout<'_>], n_shots: usize, seen: &[Seen]) -> Self {
-        let away: Vec<(Seen, f64)> = seen.iter().map(|it| (*it, bundle.away_px(&surface, it))).collect();
-        let crossings_of = |projector: usize| {
+        let misses: Vec<(Seen, DVec2)> = seen.iter().map(|it| (*it, bundle.miss_px(&surface, it))).collect();
+        let crossings_of = |projector: usize| -> Vec<[DVec2; 2]> {
             let own = seen.iter().filter(|it| it.projector == projector);
             own.filter_map(|it| {
                 let place = bundle.place(&surface, bundle.poses[it.shot].as_ref()?, it.at)?;
@@ -217,12 +219,25 @@ impl BentSolution {
             .collect()
         };
         let quantiles = |is_of: &dyn Fn(&Seen) -> bool| {
-            let mut own: Vec<f64> = away.iter().filter(|(it, _)| is_of(it)).map(|(_, away)| *away).collect();
+            let mut own: Vec<f64> = misses.iter().filter(|(it, _)| is_of(it)).map(|(_, by)| by.length()).collect();
             [quantile(&mut own, 0.5), quantile(&mut own, 0.95)]
         };
+        let crossings: Vec<Vec<[DVec2; 2]>> = (0..layouts.len()).map(crossings_of).collect();
+        let fit_of = |projector: usize| {
+            let [median_px, p95_px] = quantiles(&|it| it.projector == projector);
+            let shots: HashSet<usize> = seen.iter().filter(|it| it.projector == projector).map(|it| it.shot).collect();
+            let bits = |[px, _]: &[DVec2; 2]| px.to_array().map(f64::to_bits);
+            let n_crossings = crossings[projector].iter().map(bits).collect::<HashSet<_>>().len();
+            Fit { n_points: crossings[projector].len(), n_shots: shots.len(), n_crossings, median_px, p95_px }
+        };
+        let misses_of = |projector: usize| {
+            let own = misses.iter().filter(|(it, _)| it.projector == projector);
+            own.map(|(it, by)| [it.px, *by]).collect()
+        };
         Self {
-            crossings: (0..layouts.len()).map(crossings_of).collect(),
-            fits_px: (0..layouts.len()).map(|projector| quantiles(&|it| it.projector == projector)).collect(),
+            fits: (0..layouts.len()).map(fit_of).collect(),
+            misses: (0..layouts.len()).map(misses_of).collect(),
+            crossings,
             shot_medians_px: (0..n_shots).map(|shot| quantiles(&|it| it.shot == shot)[0]).collect(),
             sizes: layouts.iter().map(|layout| layout.size).collect(),
             bundle,
@@ -235,15 +250,25 @@ impl BentSolution {
         self.bundle.projections[projector].is_some()
     }
 
-    /// The number of a projector's crossings, each counted once.
-    pub(super) fn n_crossings(&self, projector: usize) -> usize {
-        let bits = |[px, _]: &[DVec2; 2]| px.to_array().map(f64::to_bits);
-        self.crossings[projector].iter().map(bits).collect::<HashSet<_>>().len()
+    /// How well a projector fits.
+    pub(super) fn fit(&self, projector: usize) -> Fit {
+        self.fits[projector]
     }
 
-    /// The number of a projector's crossings, all shots together.
-    pub(super) fn n_points(&self, projector: usize) -> usize {
-        self.crossings[projector].len()
+    /// A projector's crossings in its pixels, and how far from there they were seen.
+    pub(super) fn misses(&self, projector: usize) -> Vec<[DVec2; 2]> {
+        self.misses[projector].iter().map(|[px, by]| [self.in_pixels(projector, *px), *by]).collect()
+    }
+
+    /// Columns and rows of a projector's pixels.
+    pub(super) fn size(&self, projector: usize) -> DVec2 {
+        self.sizes[projector]
+    }
+
+    /// Pixels of a projector, from [`Seen::px`].
+    fn in_pixels(&self, projector: usize, px: DVec2) -> DVec2 {
+        let size = self.sizes[projector];
+        px * size.max_element() / 2.0 + size / 2.0
     }
 
     /// Whether a projector's pixels light a place on the unrolled wall.
@@ -256,8 +281,7 @@ impl BentSolution {
 
     /// A projector's crossings, in its pixels, with their places on the unrolled wall in metres.
     pub(super) fn crossings(&self, projector: usize) -> impl Iterator<Item = [DVec2; 2]> + '_ {
-        let size = self.sizes[projector];
-        self.crossings[projector].iter().map(move |[px, place]| [*px * size.max_element() / 2.0 + size / 2.0, *place])
+        self.crossings[projector].iter().map(move |[px, place]| [self.in_pixels(projector, *px), *place])
     }
 
     /// The place on the unrolled wall, in metres, that a projector's pixel lights; `None` if it was not solved.

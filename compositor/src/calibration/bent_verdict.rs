@@ -4,9 +4,10 @@ use shared::printable::counted;
 
 use super::{
     bent::{self, BentSolution, Layout},
+    finding::{Finding, means},
     pattern::Plan,
     place::Placement,
-    solve::Shot,
+    solve::{Fit, Shot},
     unroll::{Unrolled, place_in_file},
     verdict::{LARGEST_MEDIAN_PX, LARGEST_P95_PX, LEAST_COVERED, Verdict, misfit, misfit_line, missing_fault},
 };
@@ -25,7 +26,7 @@ pub(super) fn judge(
     placement: Option<&Placement>,
 ) -> Verdict {
     let (mut found, mut faults) = (Vec::new(), Vec::new());
-    let nothing = |found, faults| Verdict { wall: None, found, faults };
+    let nothing = |found, faults| Verdict { wall: None, found, faults, projectors: Vec::new() };
     let has_meshes = wall.projectors().iter().any(|projector| projector.mesh.is_some());
     let is_kept = match placement {
         None => has_meshes,
@@ -51,12 +52,15 @@ pub(super) fn judge(
     let kept = Unrolled::kept(wall, surface, &solution);
     let unrolled = if is_kept { kept } else { kept.largest(wall, surface, &solution) };
     let mut projectors = wall.projectors().to_vec();
+    let mut findings = Vec::new();
     for (index, projector) in projectors.iter_mut().enumerate() {
         if !solution.is_solved(index) {
             faults.push(missing_fault(&projector.name, index, &shots));
+            findings.push(Finding { has_fault: true, ..Finding::default() });
             continue;
         }
-        report(&projector.name, index, &solution, plan, &mut found, &mut faults);
+        let n_faults = faults.len();
+        let finding = report(&projector.name, index, &solution, plan, &mut found, &mut faults);
         match unrolled.projector(wall, surface, &solution, index) {
             Some(new) => *projector = new,
             None => faults.push(format!(
@@ -64,6 +68,7 @@ pub(super) fn judge(
                 projector.name
             )),
         }
+        findings.push(Finding { has_fault: faults.len() > n_faults, ..finding });
     }
     let lit = unrolled.lit(wall, &solution);
     if lit < LEAST_LIT {
@@ -77,7 +82,7 @@ pub(super) fn judge(
     let new_wall = wall.with_projectors(projectors).map_err(|error| {
         faults.push(format!("{error}: does the file's layout agree with the wall?"));
     });
-    Verdict { wall: new_wall.ok().filter(|_| is_changed), found, faults }
+    Verdict { wall: new_wall.ok().filter(|_| is_changed), found, faults, projectors: findings }
 }
 
 fn solved(wall: &Wall, surface: Surface, shots: &[Shot]) -> Option<BentSolution> {
@@ -97,12 +102,13 @@ fn report(
     plan: &Plan,
     found: &mut Vec<String>,
     faults: &mut Vec<String>,
-) {
-    let [median_px, p95_px] = solution.fits_px[index];
-    let covered = solution.n_crossings(index) as f64 / plan.boards[index].n_crossings().max(1) as f64;
+) -> Finding {
+    let fit = solution.fit(index);
+    let Fit { n_points, n_crossings, median_px, p95_px, .. } = fit;
+    let covered = n_crossings as f64 / plan.boards[index].n_crossings().max(1) as f64;
     found.push(format!(
         "\"{name}\": {}, {:.0} % of its picture; half within {median_px:.2} pixels, 95 % within {p95_px:.2}",
-        counted(solution.n_points(index), "point"),
+        counted(n_points, "point"),
         100.0 * covered
     ));
     if covered < LEAST_COVERED {
@@ -120,4 +126,6 @@ fn report(
              it move between photographs, and does the camera come near enough?"
         ));
     }
+    let misses = means(&solution.misses(index), solution.size(index));
+    Finding { fit: Some(fit), covered, misses, ..Finding::default() }
 }

@@ -72,9 +72,9 @@ impl Bundle {
         surface.met(pose.position, pose.rotation * slope.extend(1.0))
     }
 
-    /// How far a crossing is from where it should be, in pixels of its projector.
-    pub(super) fn away_px(&self, surface: &Surface, seen: &Seen) -> f64 {
-        self.away(surface, seen).map_or(MISSED, DVec2::length) * seen.px_per_unit
+    /// From where a crossing should be to where it was seen, in pixels of its projector.
+    pub(super) fn miss_px(&self, surface: &Surface, seen: &Seen) -> DVec2 {
+        -self.away(surface, seen).unwrap_or(MISSED * DVec2::X) * seen.px_per_unit
     }
 
     fn away(&self, surface: &Surface, seen: &Seen) -> Option<DVec2> {

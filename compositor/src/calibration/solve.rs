@@ -37,6 +37,8 @@ pub struct Solution {
     pub lenses: Vec<Lens>,
     /// For each projector: how well it fits.
     pub fits: Vec<Fit>,
+    /// For each projector: its crossings in its pixels, all shots together, and how far from there they were seen.
+    pub misses: Vec<Vec<[DVec2; 2]>>,
     /// For each shot: half of its points are nearer than this to their places, in projector pixels.
     pub shot_medians_px: Vec<f64>,
 }
@@ -68,18 +70,31 @@ pub(super) struct Observation {
 
 /// Solves for all projectors that shots join.
 pub fn solve(n_projectors: usize, shots: &[Shot]) -> Solution {
+    solve_from(&vec![None; n_projectors], shots)
+}
+
+/// The same if the maps of some projectors from the plane are known: they stay as they are.
+pub(super) fn solve_from(known: &[Option<DMat3>], shots: &[Shot]) -> Solution {
+    let n_projectors = known.len();
     let observations = observations(shots);
-    let (shot_maps, projector_maps) = joined(n_projectors, shots, &observations);
+    let (shot_maps, projector_maps) = joined(known, shots, &observations);
     let is_joined = |it: &&Observation| shot_maps[it.shot].is_some() && projector_maps[it.projector].is_some();
     let used: Vec<&Observation> = observations.iter().filter(is_joined).collect();
-    let layout = Layout::new(shots, &shot_maps, &projector_maps);
+    let is_held: Vec<bool> = known.iter().map(Option::is_some).collect();
+    let layout = Layout::new(shots, &shot_maps, &projector_maps, &is_held);
     let estimate = adjusted(&layout, &used, Estimate { lenses: layout.lenses(), shot_maps, projector_maps });
-    let away = layout.distances(&estimate, &used);
+    let away: Vec<DVec2> = layout.misses(&estimate, &used);
+    let misses = |projector: usize| -> Vec<[DVec2; 2]> {
+        std::iter::zip(&used, &away).filter(|(it, _)| it.projector == projector).map(|(it, by)| [it.px, *by]).collect()
+    };
+    let misses = (0..n_projectors).map(misses).collect();
+    let away = away.into_iter().map(DVec2::length);
     let distances: Vec<(&Observation, f64)> = std::iter::zip(used, away).collect();
     let of_shot = |shot: usize| distances.iter().filter(move |(it, _)| it.shot == shot).map(|(_, away)| *away);
     Solution {
         lenses: (0..shots.len()).map(|shot| estimate.lenses[layout.lens_of_shot[shot]]).collect(),
         shot_medians_px: (0..shots.len()).map(|shot| median(of_shot(shot).collect())).collect(),
+        misses,
         fits: (0..n_projectors).map(|projector| fit_of(projector, &distances)).collect(),
         px_from_plane: estimate.projector_maps,
         plane_from_shot: estimate.shot_maps,
@@ -101,14 +116,14 @@ fn observations(shots: &[Shot]) -> Vec<Observation> {
 }
 
 /// Joins shots and projectors one by one, without regard to lenses: maps from shots to the plane, and from the plane to
-/// projectors. The plane is the picture of the shot that shows most.
+/// projectors. The plane is that of the projectors' maps that are known, or else the picture of the shot that shows most.
 fn joined(
-    n_projectors: usize,
+    known: &[Option<DMat3>],
     shots: &[Shot],
     observations: &[Observation],
 ) -> (Vec<Option<DMat3>>, Vec<Option<DMat3>>) {
     let mut shot_maps: Vec<Option<DMat3>> = vec![None; shots.len()];
-    let mut projector_maps: Vec<Option<DMat3>> = vec![None; n_projectors];
+    let mut projector_maps: Vec<Option<DMat3>> = known.to_vec();
     let of = |shot: usize| observations.iter().filter(move |it| it.shot == shot);
     let n_shown = |shot: usize| {
         let mut projectors: Vec<usize> = of(shot).map(|it| it.projector).collect();
@@ -118,10 +133,23 @@ fn joined(
         projectors.dedup();
         (projectors.len(), n_points)
     };
-    let Some(first) = (0..shots.len()).max_by_key(|&shot| (n_shown(shot), std::cmp::Reverse(shot))) else {
-        return (shot_maps, projector_maps);
+    // The open shot that shares most points with the projectors that are joined.
+    let next_of = |shot_maps: &[Option<DMat3>], projector_maps: &[Option<DMat3>]| {
+        let plane_from_px: Vec<Option<DMat3>> = projector_maps.iter().map(|map| map.map(|map| map.inverse())).collect();
+        let pairs_of = |shot: usize| -> Vec<[DVec2; 2]> {
+            let pair = |it: &Observation| Some([it.seen, apply(plane_from_px[it.projector]?, it.px)?]);
+            of(shot).filter_map(pair).collect()
+        };
+        let open = (0..shots.len()).filter(|&shot| shot_maps[shot].is_none());
+        let most = open.map(|shot| (shot, pairs_of(shot))).max_by_key(|(shot, pairs)| (pairs.len(), usize::MAX - shot));
+        most.filter(|(_, pairs)| pairs.len() >= 24).and_then(|(shot, pairs)| Some((shot, with_unit_depth(fitted(&pairs)?))))
     };
-    let mut next = Some((first, DMat3::IDENTITY));
+    let first = || (0..shots.len()).max_by_key(|&shot| (n_shown(shot), std::cmp::Reverse(shot)));
+    let mut next = if known.iter().any(Option::is_some) {
+        next_of(&shot_maps, &projector_maps)
+    } else {
+        first().map(|first| (first, DMat3::IDENTITY))
+    };
     while let Some((shot, map)) = next {
         shot_maps[shot] = Some(map);
         for (projector, projector_map) in projector_maps.iter_mut().enumerate().filter(|(_, map)| map.is_none()) {
@@ -131,18 +159,7 @@ fn joined(
                 *projector_map = fitted(&pairs).map(with_unit_depth);
             }
         }
-        // The shot that shares most points with those that are joined.
-        let plane_from_px: Vec<Option<DMat3>> = projector_maps.iter().map(|map| map.map(|map| map.inverse())).collect();
-        let pairs_of = |shot: usize| -> Vec<[DVec2; 2]> {
-            let pair = |it: &Observation| Some([it.seen, apply(plane_from_px[it.projector]?, it.px)?]);
-            of(shot).filter_map(pair).collect()
-        };
-        let open = (0..shots.len()).filter(|&shot| shot_maps[shot].is_none());
-        let most = open.map(|shot| (shot, pairs_of(shot))).max_by_key(|(shot, pairs)| (pairs.len(), usize::MAX - shot));
-        next = most.filter(|(_, pairs)| pairs.len() >= 24).and_then(|(shot, pairs)| {
-            let map = fitted(&pairs)?;
-            Some((shot, with_unit_depth(map)))
-        });
+        next = next_of(&shot_maps, &projector_maps);
     }
     (shot_maps, projector_maps)
 }

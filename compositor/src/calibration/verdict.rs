@@ -4,6 +4,7 @@ use shared::printable::counted;
 
 use super::{
     bent_verdict, crossing,
+    finding::{Finding, means},
     fitting::median,
     identify::Codebook,
     lattice,
@@ -11,9 +12,9 @@ use super::{
     pattern::Plan,
     photograph::Photograph,
     place::{Placement, warp_px},
-    solve::{Fit, Shot, solve},
+    solve::{Fit, Shot, Solution, solve},
 };
-use crate::wall::{Flip, Wall};
+use crate::wall::{Flip, Projector, Wall};
 
 /// The part of a wall that a photograph shows.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,6 +38,8 @@ pub struct Verdict {
     pub found: Vec<String>,
     /// Everything that speaks against using the corners, each with the cure.
     pub faults: Vec<String>,
+    /// The findings of each projector as numbers; none where only light was measured.
+    pub projectors: Vec<Finding>,
 }
 
 /// Half of a projector's points are nearer than this to where they should be, in its pixels, or it does not fit.
@@ -135,37 +138,16 @@ fn once<T: Ord>(mut values: Vec<T>) -> Vec<T> {
 
 /// Solves a wall from all photographs of it. Without a placement, [`Placement::of_wall`] chooses it.
 pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&Placement>) -> Verdict {
-    let mut found = Vec::new();
     let mut faults = Vec::new();
     let n_projectors = wall.projectors().len();
-    let mut shots: Vec<Shot> = readings.iter().map(|reading| reading.shot.clone()).collect();
-    for (shot, reading) in shots.iter_mut().zip(readings) {
-        let n_before = shot.sightings.len();
-        drop_reflections(shot, wall);
-        if shot.sightings.len() < n_before {
-            found.push(format!("{} also shows reflections of the patterns, which do not count", reading.name));
-        }
-    }
+    let (mut shots, mut found) = without_reflections(wall, readings);
     if let Some(surface) = wall.surface() {
         let names: Vec<&str> = readings.iter().map(|reading| reading.name.as_str()).collect();
         let verdict = bent_verdict::judge(wall, surface, plan, (&names, shots), placement);
         found.extend(verdict.found);
         return Verdict { found, ..verdict };
     }
-    let mut solution = solve(n_projectors, &shots);
-    while let Some(worst) = misfit(&solution.shot_medians_px) {
-        found.push(misfit_line(&readings[worst].name, solution.shot_medians_px[worst]));
-        shots[worst].sightings.clear();
-        solution = solve(n_projectors, &shots);
-    }
-    for (index, reading) in readings.iter().enumerate() {
-        if !shots[index].sightings.is_empty() && solution.plane_from_shot[index].is_none() {
-            found.push(format!(
-                "{} shows no projector together with others that join it to the wall, and does not count",
-                reading.name
-            ));
-        }
-    }
+    let solution = solved_without_misfits(readings, &mut shots, &mut found, &|shots| solve(n_projectors, shots));
     let placement = placement.cloned().unwrap_or_else(|| Placement::of_wall(wall));
     let plane_from_canvas = placement.plane_from_canvas(wall, &shots, &solution);
     if plane_from_canvas.is_none() && solution.px_from_plane.iter().any(Option::is_some) {
@@ -176,43 +158,21 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
         );
     }
     let mut warps = Vec::new();
+    let mut projectors = Vec::new();
     for (index, projector) in wall.projectors().iter().enumerate() {
         let name = &projector.name;
-        let map = solution.px_from_plane[index];
-        let Some(map) = map else {
+        let n_faults = faults.len();
+        let Some(map) = solution.px_from_plane[index] else {
             faults.push(missing_fault(name, index, &shots));
+            projectors.push(Finding { has_fault: true, ..Finding::default() });
             continue;
         };
-        let Fit { n_points, n_shots, n_crossings, median_px, p95_px } = solution.fits[index];
-        let covered = n_crossings as f64 / plan.boards[index].n_crossings().max(1) as f64;
         let warp = plane_from_canvas.and_then(|plane_from_canvas| warp_px(projector, map, plane_from_canvas));
-        let moved = warp.map(|warp| {
-            let away = |(new, old): ([f64; 2], [f64; 2])| (new[0] - old[0]).hypot(new[1] - old[1]);
-            warp.into_iter().zip(projector.warp_px).map(away).fold(0.0, f64::max)
-        });
-        let corners = moved.map_or(String::new(), |moved| format!("; its corners move by up to {moved:.1}"));
-        found.push(format!(
-            "\"{name}\": {} in {}, {:.0} % of its picture; half within {median_px:.2} pixels, 95 % within \
-             {p95_px:.2}{corners}",
-            counted(n_points, "point"),
-            counted(n_shots, "photograph"),
-            100.0 * covered
-        ));
-        if covered < LEAST_COVERED {
-            faults.push(format!(
-                "only {:.0} % of \"{name}\" was seen, and {:.0} % is needed: take a photograph of every pattern that shows \
-                 all of it, and clear the way to the camera",
-                100.0 * covered,
-                100.0 * LEAST_COVERED
-            ));
-        }
-        if !(median_px <= LARGEST_MEDIAN_PX && p95_px <= LARGEST_P95_PX) {
-            faults.push(format!(
-                "\"{name}\" does not fit: half of its points lie within {median_px:.2} pixels and 95 % within {p95_px:.2}, \
-                 where {LARGEST_MEDIAN_PX} and {LARGEST_P95_PX} are allowed: did it move between photographs, is the wall \
-                 flat there, is its own keystone correction off, and does the camera come near enough?"
-            ));
-        }
+        let mut finding = finding(wall, plan, &solution, index);
+        finding.moved_px = warp.map(|warp| farthest_move(projector, warp));
+        let corners = finding.moved_px.map_or(String::new(), |moved| format!("; its corners move by up to {moved:.1}"));
+        found.push(format!("{}{corners}", line(name, &finding)));
+        faults.extend(doubts(name, &finding));
         match warp {
             Some(warp) => warps.push((index, warp)),
             None if plane_from_canvas.is_some() => {
@@ -220,16 +180,114 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
             }
             None => {}
         }
+        projectors.push(Finding { has_fault: faults.len() > n_faults, ..finding });
     }
-    let new_wall = match wall.with_warps(&warps) {
-        Ok(new_wall) => Some(new_wall).filter(|_| !warps.is_empty()),
-        Err(error) => {
-            faults.push(format!("{error}: does the file's layout agree with the wall?"));
-            None
+    let new_wall = with_warps(wall, &warps, &mut found, &mut faults);
+    Verdict { wall: new_wall, found, faults, projectors }
+}
+
+/// The shots of all photographs without what they show the wrong way round, and a line for each that shows some.
+pub(super) fn without_reflections(wall: &Wall, readings: &[Reading]) -> (Vec<Shot>, Vec<String>) {
+    let mut found = Vec::new();
+    let mut shots: Vec<Shot> = readings.iter().map(|reading| reading.shot.clone()).collect();
+    for (shot, reading) in shots.iter_mut().zip(readings) {
+        let n_before = shot.sightings.len();
+        drop_reflections(shot, wall);
+        if shot.sightings.len() < n_before {
+            found.push(format!("{} also shows reflections of the patterns, which do not count", reading.name));
         }
-    };
+    }
+    (shots, found)
+}
+
+/// Solves, and leaves out shots that do not fit the others, one after the other.
+pub(super) fn solved_without_misfits(
+    readings: &[Reading],
+    shots: &mut [Shot],
+    found: &mut Vec<String>,
+    solve: &dyn Fn(&[Shot]) -> Solution,
+) -> Solution {
+    let mut solution = solve(shots);
+    while let Some(worst) = misfit(&solution.shot_medians_px) {
+        found.push(misfit_line(&readings[worst].name, solution.shot_medians_px[worst]));
+        shots[worst].sightings.clear();
+        solution = solve(shots);
+    }
+    for (index, reading) in readings.iter().enumerate() {
+        if !shots[index].sightings.is_empty() && solution.plane_from_shot[index].is_none() {
+            found.push(format!(
+                "{} shows no projector together with others that join it to the wall, and does not count",
+                reading.name
+            ));
+        }
+    }
+    solution
+}
+
+/// What a solution tells of a projector.
+pub(super) fn finding(wall: &Wall, plan: &Plan, solution: &Solution, index: usize) -> Finding {
+    let fit = solution.fits[index];
+    Finding {
+        fit: Some(fit),
+        covered: fit.n_crossings as f64 / plan.boards[index].n_crossings().max(1) as f64,
+        moved_px: None,
+        misses: means(&solution.misses[index], wall.projectors()[index].output.size()),
+        has_fault: false,
+    }
+}
+
+/// How far the corners of a projector move, at most, in pixels.
+pub(super) fn farthest_move(projector: &Projector, warp_px: [[f64; 2]; 4]) -> f64 {
+    let away = |(new, old): ([f64; 2], [f64; 2])| (new[0] - old[0]).hypot(new[1] - old[1]);
+    warp_px.into_iter().zip(projector.warp_px).map(away).fold(0.0, f64::max)
+}
+
+/// A line on a projector that was found.
+pub(super) fn line(name: &str, Finding { fit, covered, .. }: &Finding) -> String {
+    let Fit { n_points, n_shots, median_px, p95_px, .. } = fit.unwrap_or_default();
+    format!(
+        "\"{name}\": {} in {}, {:.0} % of its picture; half within {median_px:.2} pixels, 95 % within {p95_px:.2}",
+        counted(n_points, "point"),
+        counted(n_shots, "photograph"),
+        100.0 * covered
+    )
+}
+
+/// What speaks against a projector that was found, with the cures.
+pub(super) fn doubts(name: &str, Finding { fit, covered, .. }: &Finding) -> Vec<String> {
+    let Fit { median_px, p95_px, .. } = fit.unwrap_or_default();
+    let mut faults = Vec::new();
+    if *covered < LEAST_COVERED {
+        faults.push(format!(
+            "only {:.0} % of \"{name}\" was seen, and {:.0} % is needed: take a photograph of every pattern that shows \
+             all of it, and clear the way to the camera",
+            100.0 * covered,
+            100.0 * LEAST_COVERED
+        ));
+    }
+    if !(median_px <= LARGEST_MEDIAN_PX && p95_px <= LARGEST_P95_PX) {
+        faults.push(format!(
+            "\"{name}\" does not fit: half of its points lie within {median_px:.2} pixels and 95 % within {p95_px:.2}, \
+             where {LARGEST_MEDIAN_PX} and {LARGEST_P95_PX} are allowed: did it move between photographs, is the wall \
+             flat there, is its own keystone correction off, and does the camera come near enough?"
+        ));
+    }
+    faults
+}
+
+/// The wall with new corners, if there are any and they make a wall.
+pub(super) fn with_warps(
+    wall: &Wall,
+    warps: &[(usize, [[f64; 2]; 4])],
+    found: &mut Vec<String>,
+    faults: &mut Vec<String>,
+) -> Option<Wall> {
+    let new_wall = wall.with_warps(warps).map_err(|error| {
+        faults.push(format!("{error}: does the file's layout agree with the wall?"));
+    });
+    let new_wall = new_wall.ok().filter(|_| !warps.is_empty());
     found.extend(new_wall.iter().flat_map(short_projectors));
-    Verdict { wall: new_wall, found, faults }
+    new_wall
 }
 
 /// A line on a photograph that is left out.

@@ -21,7 +21,7 @@ pub(super) type Blacks = Vec<Option<f64>>;
 const LARGEST_DEVIATION: f64 = 0.002;
 /// Blacks are about as large, with this deviation, unless squares tell.
 const USUAL: [f64; 2] = [0.002, 0.02];
-/// Squares so near to another projector's edge, in its sides, count for nothing.
+/// Squares so near to another projector's edge, in its sides, lie partly within: they tell no black.
 const EDGE: f64 = 0.015;
 /// Terms of what varies slowly within a field.
 const N_TERMS: usize = 6;
@@ -44,9 +44,8 @@ impl<'a> Overlaps<'a> {
         Self { projectors: wall.projectors(), maps: wall.projectors().iter().map(maps).collect() }
     }
 
-    /// The other projectors that light a place of a projector's pixels, with the place in theirs as seen on the wall.
-    /// `None` if it is near one's edge.
-    fn others(&self, index: usize, raster: DVec2) -> Option<Vec<(usize, DVec2)>> {
+    /// The other projectors that light a place of a projector's pixels.
+    fn others(&self, index: usize, raster: DVec2) -> Option<Vec<Other>> {
         let own = &self.projectors[index];
         let image = apply(self.maps[index]?[0].inverse(), raster)?;
         let canvas = own.canvas.canvas_from_rect(own.rect_at(image));
@@ -59,15 +58,44 @@ impl<'a> Overlaps<'a> {
                 self.maps[other_idx].filter(|_| is_near).and_then(|maps| apply(maps[1], other.image_at(rect_point)));
             let Some(upright) = upright else { continue };
             let inside = upright.min(1.0 - upright).min_element();
-            if inside.abs() < EDGE {
-                return None;
-            }
-            if inside > 0.0 {
-                others.push((other_idx, upright));
+            let part = (0.5 + 0.5 * inside / EDGE).clamp(0.0, 1.0);
+            if part > 0.0 {
+                others.push(Other { projector: other_idx, upright: upright.clamp(DVec2::ZERO, DVec2::ONE), part });
             }
         }
         Some(others)
     }
+}
+
+/// Another projector that lights a place.
+struct Other {
+    projector: usize,
+    /// The place in its pixels as seen on the wall.
+    upright: DVec2,
+    /// The part of a square there that it lights: less than 1 near its edge.
+    part: f64,
+}
+
+/// What other projectors' black adds to the light of each square.
+pub(super) fn foreign(
+    overlaps: &Overlaps<'_>,
+    lits: &[Lit],
+    fields: &Fields,
+    camera_of: &[usize],
+    blacks: &Blacks,
+) -> Vec<[f64; 3]> {
+    let basis = Basis::new();
+    let foreign = |it: &Lit| {
+        let others = overlaps.others(it.projector, it.raster).unwrap_or_default();
+        std::array::from_fn(|channel| {
+            let of = |other: &Other| {
+                let white = fields.white(other.projector, channel, other.upright, &basis);
+                blacks[other.projector].map_or(0.0, |black| black * other.part * white)
+            };
+            others.iter().map(of).sum::<f64>() * fields.seen(it.shot, camera_of[it.shot], channel, it.at)
+        })
+    };
+    lits.iter().map(foreign).collect()
 }
 
 /// Finds blacks from dark squares; `camera_of` tells the camera of a shot.
@@ -94,14 +122,15 @@ pub(super) fn solve(
     let mut darks = Vec::new();
     for it in lits.iter().filter(|it| it.ink == Ink::Grey(0) && is_solved[it.projector]) {
         let Some(others) = overlaps.others(it.projector, it.raster) else { continue };
-        if others.iter().any(|(other, _)| !is_solved[*other]) {
+        if others.iter().any(|other| !is_solved[other.projector] || other.part < 1.0) {
             continue;
         }
         let group = groups.binary_search(&(it.shot, it.projector)).unwrap_or_default();
         for channel in 0..3 {
             let Some([light, slope]) = it.light[channel] else { continue };
             let seen = fields.seen(it.shot, camera_of[it.shot], channel, it.at);
-            let white = |(other, upright): &(usize, DVec2)| (*other, fields.white(*other, channel, *upright, &basis));
+            let white =
+                |it: &Other| (it.projector, fields.white(it.projector, channel, it.upright, &basis));
             let others = others.iter().map(white).collect();
             let block = 3 * group + channel;
             darks.push(Dark { block, place: place(it.raster), others, light: light / seen, error: slope / seen });

@@ -22,12 +22,14 @@ pub(super) struct Lit {
     /// For red, green and blue: the light, and its error for an error of one in the value; `None` where the photograph is
     /// over-exposed.
     pub light: [Option<[f64; 2]>; 3],
+    /// What other projectors' black adds to it.
+    pub foreign: [f64; 3],
 }
 
 /// The light of one projector in one photograph, in one channel of the camera: `black + part × white`.
 #[derive(Clone, Debug)]
 pub(super) struct Field {
-    black: [f64; 3],
+    black: [f64; 6],
     white: [f64; 6],
 }
 
@@ -53,11 +55,18 @@ pub(super) fn place(raster: DVec2) -> DVec2 {
     2.0 * raster - 1.0
 }
 
+impl Lit {
+    /// The light of its own projector and of the room, and its error; see `light`.
+    pub(super) fn own(&self, channel: usize) -> Option<[f64; 2]> {
+        self.light[channel].map(|[light, slope]| [light - self.foreign[channel], slope])
+    }
+}
+
 impl Field {
     /// The field of squares of one photograph and projector. `None` if they are too few, or fit badly.
     pub(super) fn fit(squares: &[&Lit], channel: usize) -> Option<Self> {
         let known: Vec<(DVec2, f64, [f64; 2])> =
-            squares.iter().filter_map(|it| Some((place(it.raster), it.ink.part()?, it.light[channel]?))).collect();
+            squares.iter().filter_map(|it| Some((place(it.raster), it.ink.part()?, it.own(channel)?))).collect();
         let n_bright = known.iter().filter(|(_, part, _)| *part >= 0.5).count();
         if n_bright.min(known.len() - n_bright) < LEAST_SQUARES {
             return None;
@@ -65,14 +74,14 @@ impl Field {
         let mut weights = vec![1.0; known.len()];
         let mut field = None;
         for _ in 0..N_ROUNDS {
-            let mut arrow = Arrow::new(1, 9, 0);
+            let mut arrow = Arrow::new(1, 12, 0);
             for ((place, part, [light, slope]), weight) in known.iter().zip(&weights) {
                 let terms = white_terms(*place);
-                let row: [_; 9] = std::array::from_fn(|n| (n, if n < 6 { part * terms[n] } else { terms[n - 6] }));
+                let row: [_; 12] = std::array::from_fn(|n| (n, if n < 6 { part * terms[n] } else { terms[n - 6] }));
                 arrow.add(0, &row, &[], *light, weight / (slope * slope));
             }
             // Few squares tell no curvature.
-            [3, 4, 5, 7, 8].iter().for_each(|&term| arrow.add(0, &[(term, 1.0)], &[], 0.0, WEAK));
+            [3, 4, 5, 7, 8, 9, 10, 11].iter().for_each(|&term| arrow.add(0, &[(term, 1.0)], &[], 0.0, WEAK));
             let local = arrow.solve()?.local.remove(0);
             let new = Self { white: std::array::from_fn(|n| local[n]), black: std::array::from_fn(|n| local[6 + n]) };
             let away = |(place, part, [light, _]): &(DVec2, f64, [f64; 2])| {
@@ -93,14 +102,14 @@ impl Field {
         self.white.iter().zip(white_terms(place)).map(|(factor, term)| factor * term).sum()
     }
 
-    /// The light there without it.
+    /// The light there without it: of the room, and of its own black.
     pub(super) fn black(&self, place: DVec2) -> f64 {
         self.black.iter().zip(white_terms(place)).map(|(factor, term)| factor * term).sum()
     }
 
     /// The part of white that a square shows, and its error for an error of one in the value.
     pub(super) fn part(&self, it: &Lit, channel: usize) -> Option<[f64; 2]> {
-        let [light, slope] = it.light[channel]?;
+        let [light, slope] = it.own(channel)?;
         let white = self.white(place(it.raster));
         (white > 1e-6).then(|| [(light - self.black(place(it.raster))) / white, slope / white])
     }
@@ -192,7 +201,7 @@ mod tests {
             // Someone stood before a few.
             let seen = if n % 25 == 3 { 0.0 } else { 1.0 };
             let light = seen * (0.1 + 0.02 * place(raster).y + ink.part().expect("known") * white);
-            Lit { shot: 0, projector: 0, ink, raster, at: raster, light: [Some([light, 1.0]), None, None] }
+            Lit { shot: 0, projector: 0, ink, raster, at: raster, light: [Some([light, 1.0]), None, None], foreign: [0.0; 3] }
         };
         let squares: Vec<Lit> = (0..200).map(square).collect();
         let field = Field::fit(&squares.iter().collect::<Vec<_>>(), 0).expect("enough squares");

@@ -31,6 +31,8 @@ pub(super) struct Known {
     pub value: f64,
     /// See `value`.
     pub variance: f64,
+    /// The light of other projectors' black there, in the unit of the response: 0 until it is known.
+    pub foreign: f64,
 }
 
 /// Intervals of the spline, from 0 to 1: a curve as smooth as cameras' has no finer features.
@@ -70,7 +72,7 @@ impl Response {
             let slopes: Vec<f64> = known.iter().map(|it| response.slope(it.value).max(0.1)).collect();
             for ((it, slope), weight) in known.iter().zip(&slopes).zip(&weights) {
                 let (local, shared) = (field_row(it.place, it.part), value_row(it.value, it.variance));
-                arrow.add(it.group, &local, &shared, 0.0, weight / (slope * slope));
+                arrow.add(it.group, &local, &shared, it.foreign, weight / (slope * slope));
             }
             for block in 0..n_groups {
                 (0..N_WHITE + N_BLACK).for_each(|term| arrow.add(block, &[(term, 1.0)], &[], 0.0, WEAK));
@@ -89,7 +91,7 @@ impl Response {
                 let light = response.light(it.value, it.variance);
                 let terms = field_row(it.place, it.part);
                 let expected: f64 = terms.iter().map(|(term, factor)| -factor * solved.local[it.group][*term]).sum();
-                light - expected
+                light - it.foreign - expected
             };
             let errors: Vec<f64> = known.iter().map(away).collect();
             let in_values: Vec<f64> = errors.iter().zip(&slopes).map(|(away, slope)| away / slope).collect();
@@ -188,7 +190,7 @@ mod tests {
             let part = [0.0, 0.25, 0.5, 0.75, 1.0][n / n_groups % 5];
             let white = (0.9 - 0.35 * place.length_squared() / 2.0) / (1.0 + group as f64);
             let light = 0.05 + 0.01 * place.x + part * white;
-            Known { group, place, part, value: curve(light), variance: 0.0 }
+            Known { group, place, part, value: curve(light), variance: 0.0, foreign: 0.0 }
         };
         (0..600 * n_groups).map(square).collect()
     }

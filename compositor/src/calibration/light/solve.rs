@@ -58,6 +58,8 @@ const VALUES: [f64; 2] = [0.004, 0.99];
 const LEAST_PART: f64 = 0.3;
 /// Cells a side by which the covered part of a field is counted.
 const CELLS: usize = 5;
+/// Rounds of measuring anew without the light of others' black, which is a hundredth of a square's at most.
+const N_ROUNDS: usize = 3;
 /// Fewer squares tell no projector's light.
 const LEAST_SQUARES: usize = 30;
 
@@ -68,36 +70,28 @@ pub fn solve(wall: &Wall, shots: &[&LightShot]) -> LightSolution {
     sizes.sort_unstable();
     sizes.dedup();
     let camera_of: Vec<usize> = shots.iter().map(|shot| sizes.binary_search(&shot.size).unwrap_or_default()).collect();
-    let responses: Vec<[Option<Response>; 3]> = (0..sizes.len())
-        .map(|camera| [0, 1, 2].map(|channel| response(camera, channel, shots, &camera_of, n_projectors)))
-        .collect();
-    let has_no_response: Vec<bool> =
-        camera_of.iter().map(|camera| responses[*camera].iter().any(Option::is_none)).collect();
-    let lits: Vec<Lit> =
-        (0..shots.len()).flat_map(|shot| lits(shot, shots[shot], &responses[camera_of[shot]])).collect();
-    let fields = Groups::new(&lits, n_projectors);
-    let curves: Vec<Option<Curve>> = (0..n_projectors).map(|index| curve(index, &fields)).collect();
-    let n_cameras = sizes.len();
-    let bright = brights(wall, &fields, &curves, &camera_of);
-    let n_squares = |index: usize| bright.iter().filter(|it| it.projector == index).count() / 3;
-    let shares: Vec<Option<Shares>> = (0..n_projectors).map(|index| shares(index, &fields)).collect();
-    let is_solved: Vec<bool> = (0..n_projectors)
-        .map(|index| n_squares(index) >= LEAST_SQUARES && curves[index].is_some() && shares[index].is_some())
-        .collect();
-    let over_exposed = (0..n_projectors).map(|index| over_exposed(index, shots)).collect();
-    let bright: Vec<Bright> = bright.into_iter().filter(|it| is_solved[it.projector]).collect();
-    let nothing = LightSolution {
-        projectors: vec![None; n_projectors],
-        shot_errors: vec![f64::INFINITY; shots.len()],
-        has_no_response,
-        over_exposed,
-        has_vignetting: false,
-    };
-    if bright.is_empty() {
-        return nothing;
+    let over_exposed: Vec<f64> = (0..n_projectors).map(|index| over_exposed(index, shots)).collect();
+    let overlaps = Overlaps::new(wall);
+    let mut foreign: Vec<[f64; 3]> = Vec::new();
+    let mut round = Round::new(wall, shots, &camera_of, &foreign);
+    // Others' black, which begins at their edges, is known once their light is: then all is measured without it.
+    let mut blacks = Vec::new();
+    for _ in 0..N_ROUNDS {
+        let Some(product) = &round.product else { break };
+        blacks = black::solve(&overlaps, &round.lits, product, &camera_of, &round.is_solved);
+        foreign = black::foreign(&overlaps, &round.lits, product, &camera_of, &blacks);
+        round = Round::new(wall, shots, &camera_of, &foreign);
     }
-    let Some(product) = Fields::solve(n_projectors, shots.len(), n_cameras, &bright) else { return nothing };
-    let blacks = black::solve(&Overlaps::new(wall), &lits, &product, &camera_of, &is_solved);
+    let Round { has_no_response, bright, curves, shares, is_solved, product, .. } = round;
+    let Some(product) = product.filter(|_| blacks.len() == n_projectors) else {
+        return LightSolution {
+            projectors: vec![None; n_projectors],
+            shot_errors: vec![f64::INFINITY; shots.len()],
+            has_no_response,
+            over_exposed,
+            has_vignetting: false,
+        };
+    };
     let solved: Vec<usize> = (0..n_projectors).filter(|index| is_solved[*index]).collect();
     let of_solved: Vec<(Shares, [f64; 3])> =
         solved.iter().filter_map(|&index| Some((shares[index]?, product.colour(index)))).collect();
@@ -121,7 +115,58 @@ pub fn solve(wall: &Wall, shots: &[&LightShot]) -> LightSolution {
     let shot_errors =
         (0..shots.len()).map(|shot| if is_seen(shot) { product.shot_errors[shot] } else { f64::INFINITY }).collect();
     let has_vignetting = product.has_vignetting.iter().all(|has| *has);
-    LightSolution { projectors, shot_errors, has_vignetting, ..nothing }
+    LightSolution { projectors, shot_errors, has_no_response, over_exposed, has_vignetting }
+}
+
+/// What follows from all squares once the light of others' black in each is known.
+struct Round {
+    has_no_response: Vec<bool>,
+    /// In the order of shots and their samples.
+    lits: Vec<Lit>,
+    curves: Vec<Option<Curve>>,
+    shares: Vec<Option<Shares>>,
+    /// Bright squares of projectors that are solved.
+    bright: Vec<Bright>,
+    is_solved: Vec<bool>,
+    product: Option<Fields>,
+}
+
+impl Round {
+    /// `foreign` is the light of others' black in each square; empty if nothing is known of it.
+    fn new(wall: &Wall, shots: &[&LightShot], camera_of: &[usize], foreign: &[[f64; 3]]) -> Self {
+        let n_projectors = wall.projectors().len();
+        let n_cameras = camera_of.iter().max().map_or(0, |last| last + 1);
+        // The samples of each shot begin here.
+        let firsts: Vec<usize> = shots
+            .iter()
+            .scan(0, |next, shot| Some(std::mem::replace(next, *next + shot.samples.len())))
+            .collect();
+        let foreign_of =
+            |shot: usize, sample: usize| foreign.get(firsts[shot] + sample).copied().unwrap_or_default();
+        let responses: Vec<[Option<Response>; 3]> = (0..n_cameras)
+            .map(|camera| {
+                [0, 1, 2].map(|channel| response((camera, channel), shots, camera_of, n_projectors, &foreign_of))
+            })
+            .collect();
+        let has_no_response: Vec<bool> =
+            camera_of.iter().map(|camera| responses[*camera].iter().any(Option::is_none)).collect();
+        let lits: Vec<Lit> = (0..shots.len())
+            .flat_map(|shot| lits(shot, shots[shot], &responses[camera_of[shot]], &|sample| foreign_of(shot, sample)))
+            .collect();
+        let fields = Groups::new(&lits, n_projectors);
+        let curves: Vec<Option<Curve>> = (0..n_projectors).map(|index| curve(index, &fields)).collect();
+        let shares: Vec<Option<Shares>> = (0..n_projectors).map(|index| shares(index, &fields)).collect();
+        let mut bright = brights(wall, &fields, &curves, camera_of);
+        let is_solved: Vec<bool> = (0..n_projectors)
+            .map(|index| {
+                n_squares_of(index, &bright) >= LEAST_SQUARES && curves[index].is_some() && shares[index].is_some()
+            })
+            .collect();
+        bright.retain(|it| is_solved[it.projector]);
+        drop(fields);
+        let product = Fields::solve(n_projectors, shots.len(), n_cameras, &bright).filter(|_| !bright.is_empty());
+        Self { has_no_response, lits, curves, shares, bright, is_solved, product }
+    }
 }
 
 /// Whether a value with noise of this variance is not cut off.
@@ -130,31 +175,36 @@ fn is_usable(mean: f64, variance: f64) -> bool {
 }
 
 fn response(
-    camera: usize,
-    channel: usize,
+    (camera, channel): (usize, usize),
     shots: &[&LightShot],
     camera_of: &[usize],
     n_projectors: usize,
+    foreign_of: &dyn Fn(usize, usize) -> [f64; 3],
 ) -> Option<Response> {
     let mut known = Vec::new();
-    let own: Vec<&&LightShot> =
-        shots.iter().zip(camera_of).filter(|(_, it)| **it == camera).map(|(it, _)| it).collect();
-    for (shot, it) in own.iter().enumerate() {
-        for sample in &it.samples {
+    let own: Vec<usize> = (0..shots.len()).filter(|shot| camera_of[*shot] == camera).collect();
+    for (n, &shot) in own.iter().enumerate() {
+        for (sample_idx, sample) in shots[shot].samples.iter().enumerate() {
             let (value, variance) = (sample.mean[channel], sample.variance[channel]);
             if let Some(part) = sample.ink.part()
                 && is_usable(value, variance)
             {
-                let group = shot * n_projectors + sample.projector_idx;
-                known.push(Known { group, place: place(sample.raster), part, value, variance });
+                let group = n * n_projectors + sample.projector_idx;
+                let foreign = foreign_of(shot, sample_idx)[channel];
+                known.push(Known { group, place: place(sample.raster), part, value, variance, foreign });
             }
         }
     }
     Response::solve(own.len() * n_projectors, &known)
 }
 
-fn lits(shot: usize, it: &LightShot, responses: &[Option<Response>; 3]) -> Vec<Lit> {
-    let lit = |sample: &super::Sample| {
+fn lits(
+    shot: usize,
+    it: &LightShot,
+    responses: &[Option<Response>; 3],
+    foreign_of: &dyn Fn(usize) -> [f64; 3],
+) -> Vec<Lit> {
+    let lit = |(sample_idx, sample): (usize, &super::Sample)| {
         let light = |channel: usize| {
             let (mean, variance) = (sample.mean[channel], sample.variance[channel]);
             let response = responses[channel].as_ref().filter(|_| is_usable(mean, variance))?;
@@ -170,9 +220,10 @@ fn lits(shot: usize, it: &LightShot, responses: &[Option<Response>; 3]) -> Vec<L
             raster: sample.raster,
             at: sample.at,
             light: [0, 1, 2].map(light),
+            foreign: foreign_of(sample_idx),
         }
     };
-    it.samples.iter().map(lit).collect()
+    it.samples.iter().enumerate().map(lit).collect()
 }
 
 /// Squares by photograph and projector, with the fields of the camera's channels there.
@@ -233,8 +284,8 @@ fn brights(wall: &Wall, groups: &Groups<'_>, curves: &[Option<Curve>], camera_of
                 ink => ink.part(),
             };
             let Some(part) = part.filter(|part| *part >= LEAST_PART) else { continue };
-            for (channel, (field, light)) in fields.iter().zip(it.light).enumerate() {
-                let (Some(field), Some([light, slope])) = (field, light) else { continue };
+            for (channel, field) in fields.iter().enumerate() {
+                let (Some(field), Some([light, slope])) = (field, it.own(channel)) else { continue };
                 let white = (light - field.black(place(it.raster))) / part;
                 if white > 1e-6 {
                     all.push(Bright {
