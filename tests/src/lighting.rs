@@ -101,7 +101,7 @@ fn projectors_of_different_light_show_no_seam_after_photographs_from_two_places(
     assert!(faults.is_empty(), "{faults:?}\n{found:#?}");
     let wall = wall.unwrap();
     let after = shown(rig, &wall);
-    assert!(after.seam < 0.012, "{after:?}");
+    assert!(after.seam < 0.01, "{after:?}");
     // The camera's vignetting, a third of the light at the wall's corners, is not the wall's.
     assert!(after.uneven < 0.02, "{after:?}");
     assert!(!found.iter().any(|line| line.contains("vignetting")), "{found:?}");
@@ -152,7 +152,13 @@ fn photographs_that_tell_no_light_are_named_and_nothing_is_believed() {
     // A person stands before two projectors in all photographs.
     let person = Some([DVec2::new(0.3, 0.1), DVec2::new(0.5, 1.0)]);
     let LightVerdict { faults, .. } = judge_light(aligned, &light_by(&cameras[0], person));
-    assert!(!faults.is_empty(), "a person hides two projectors");
+    for name in ["row 1 column 2", "row 2 column 2"] {
+        let names = |fault: &String| fault.contains(&format!("% of \"{name}\" was measured, and 90 % is needed"));
+        assert!(faults.iter().any(names), "{name}: {faults:?}");
+    }
+    // Nobody stands before the right column.
+    assert!(!faults.iter().any(|fault| fault.contains("column 3")), "{faults:?}");
+    assert!(faults.iter().all(|fault| fault.contains("clear the way to the camera")), "{faults:?}");
     // A person who walks through one of eight photographs does no harm.
     let mut one = readings.concat();
     one[n_places as usize] = read(&mut rig, plan, &cameras[0], n_places, person);
@@ -216,7 +222,7 @@ fn the_program_writes_light_into_the_file_or_leaves_it_as_it_was() {
     );
     let wall = Wall::load(&file).unwrap();
     assert!(wall.projectors().iter().all(|it| it.fall_off.is_some() && it.black_level > 0.0), "{written}");
-    assert!(shown(&rig, &wall).seam < 0.012);
+    assert!(shown(&rig, &wall).seam < 0.01);
     // Photographs of light alone leave the corners as they are.
     (0..plan.n_patterns()).for_each(|pattern| fs::remove_file(photos.join(format!("{pattern}.png"))).unwrap());
     let (code, said) = run();

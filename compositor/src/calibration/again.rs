@@ -10,8 +10,8 @@ use glam::{DMat3, DVec2, DVec3};
 use shared::printable::counted;
 
 use super::{
-    fitting::{median, with_unit_depth},
     finding::Finding,
+    fitting::{median, with_unit_depth},
     pattern::Plan,
     place::warp_px,
     solve::{Shot, Solution, solve_from},
@@ -119,7 +119,8 @@ fn judged(
                 }
                 None => faults.push(format!("\"{name}\" cannot show its part of the canvas from where it stands")),
             }
-            let moved = finding.moved_px.map_or(String::new(), |moved| format!("; its corners move by up to {moved:.1}"));
+            let moved =
+                finding.moved_px.map_or(String::new(), |moved| format!("; its corners move by up to {moved:.1}"));
             found.push(format!("{}{moved}", line(name, &finding)));
             projectors.push(finding);
         } else if n_points == 0 || finding.covered < LEAST_SEEN {
@@ -174,7 +175,8 @@ fn px_from_plane(projector: &Projector) -> Option<DMat3> {
         DVec3::new(rect.left, rect.bottom + rect.height, 1.0),
     );
     let px_from_raster = DMat3::from_scale(projector.output.size());
-    let map = px_from_raster * projector.raster_from_image()? * canvas_from_rect.inverse() * plane_from_canvas().inverse();
+    let map =
+        px_from_raster * projector.raster_from_image()? * canvas_from_rect.inverse() * plane_from_canvas().inverse();
     Some(with_unit_depth(map)).filter(|map| map.is_finite())
 }
 

@@ -45,7 +45,9 @@ mod tests {
         let all: Vec<_> = (0..8).map(miss).collect();
         let of = means(&all, DVec2::new(200.0, 100.0));
         assert_eq!(of.len(), 2);
-        assert!((of[0][0] - DVec2::new(10.0, 5.0)).length() < 1e-9 && (of[0][1] - DVec2::new(0.1, 0.5)).length() < 1e-9);
+        assert!(
+            (of[0][0] - DVec2::new(10.0, 5.0)).length() < 1e-9 && (of[0][1] - DVec2::new(0.1, 0.5)).length() < 1e-9
+        );
         assert!(means(&[], DVec2::ONE).is_empty());
     }
 }

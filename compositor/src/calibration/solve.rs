@@ -142,7 +142,8 @@ fn joined(
         };
         let open = (0..shots.len()).filter(|&shot| shot_maps[shot].is_none());
         let most = open.map(|shot| (shot, pairs_of(shot))).max_by_key(|(shot, pairs)| (pairs.len(), usize::MAX - shot));
-        most.filter(|(_, pairs)| pairs.len() >= 24).and_then(|(shot, pairs)| Some((shot, with_unit_depth(fitted(&pairs)?))))
+        most.filter(|(_, pairs)| pairs.len() >= 24)
+            .and_then(|(shot, pairs)| Some((shot, with_unit_depth(fitted(&pairs)?))))
     };
     let first = || (0..shots.len()).max_by_key(|&shot| (n_shown(shot), std::cmp::Reverse(shot)));
     let mut next = if known.iter().any(Option::is_some) {

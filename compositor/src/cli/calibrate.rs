@@ -232,7 +232,7 @@ fn verdict(args: &CalibrateArgs, wall: &Wall, plan: &Plan, photos: &[Photo]) -> 
     let verdict = match (args.light && shows_light && !shows_places, &args.marks) {
         (true, None) => {
             let found = vec!["no photograph shows patterns of places, so corners stay as the file has them".to_owned()];
-            Verdict { wall: None, found, faults: Vec::new() }
+            Verdict { wall: None, found, faults: Vec::new(), projectors: Vec::new() }
         }
         _ => judge(wall, plan, &readings, placement.as_ref()),
     };
@@ -241,11 +241,11 @@ fn verdict(args: &CalibrateArgs, wall: &Wall, plan: &Plan, photos: &[Photo]) -> 
 
 /// The verdict with light, which is measured where the corners that were found have projectors' pixels.
 fn with_light(wall: &Wall, verdict: Verdict, readings: &[Reading]) -> Verdict {
-    let Verdict { wall: aligned, mut found, mut faults } = verdict;
+    let Verdict { wall: aligned, mut found, mut faults, projectors } = verdict;
     let light = judge_light(aligned.as_ref().unwrap_or(wall), readings);
     found.extend(light.found);
     faults.extend(light.faults);
-    Verdict { wall: light.wall.or(aligned), found, faults }
+    Verdict { wall: light.wall.or(aligned), found, faults, projectors }
 }
 
 /// A pixel of a photograph as it is stored, from that of the photograph as viewers show it.
@@ -261,7 +261,7 @@ fn stored(at: DVec2, [width, height]: [usize; 2], orientation: Orientation) -> D
 }
 
 /// Says what was found, and writes it if nothing speaks against that.
-fn finish(args: &CalibrateArgs, Verdict { wall, found, faults }: &Verdict) -> anyhow::Result<()> {
+fn finish(args: &CalibrateArgs, Verdict { wall, found, faults, .. }: &Verdict) -> anyhow::Result<()> {
     for line in found {
         say(printable_line(line))?;
     }

@@ -129,8 +129,7 @@ pub(super) fn solve(
         for channel in 0..3 {
             let Some([light, slope]) = it.light[channel] else { continue };
             let seen = fields.seen(it.shot, camera_of[it.shot], channel, it.at);
-            let white =
-                |it: &Other| (it.projector, fields.white(it.projector, channel, it.upright, &basis));
+            let white = |it: &Other| (it.projector, fields.white(it.projector, channel, it.upright, &basis));
             let others = others.iter().map(white).collect();
             let block = 3 * group + channel;
             darks.push(Dark { block, place: place(it.raster), others, light: light / seen, error: slope / seen });

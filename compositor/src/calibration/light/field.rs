@@ -8,7 +8,10 @@
 
 use glam::{DVec2, DVec4};
 
-use super::arrow::{Arrow, Solved, robust_weights};
+use super::{
+    super::fitting::solve_symmetric,
+    arrow::{Arrow, Solved, robust_weights},
+};
 use crate::wall::{FallOff, mesh::keys};
 
 /// A square's light at its part of white, in a channel of the camera.
@@ -151,9 +154,22 @@ impl Fields {
         last
     }
 
-    /// White's light of a projector at its control points, row by row from the top.
+    /// White's light of a projector at its control points, row by row from the top: as [`FallOff`] interpolates light, not
+    /// its logarithm, nearest everywhere between them.
     pub(super) fn points(&self, projector: usize) -> [f64; N_POINTS] {
-        std::array::from_fn(|n| self.local[projector][n].exp())
+        const SIDE: usize = 4 * FallOff::SIDE;
+        let basis = Basis::new();
+        let (mut normal, mut right) = (vec![0.0; N_POINTS * N_POINTS], vec![0.0; N_POINTS]);
+        for n in 0..SIDE * SIDE {
+            let row = basis.row((DVec2::new((n % SIDE) as f64, (n / SIDE) as f64) + 0.5) / SIDE as f64);
+            let light = dot(&row, &self.local[projector]).exp();
+            for (a, factor) in row {
+                row.iter().for_each(|(b, other)| normal[a * N_POINTS + b] += factor * other / (light * light));
+                right[a] += factor / light;
+            }
+        }
+        let is_solved = solve_symmetric(&mut normal, &mut right);
+        std::array::from_fn(|n| if is_solved { right[n] } else { self.local[projector][n].exp() })
     }
 
     /// The camera's red, green and blue of a projector's white, in proportion to its light.

@@ -201,7 +201,15 @@ mod tests {
             // Someone stood before a few.
             let seen = if n % 25 == 3 { 0.0 } else { 1.0 };
             let light = seen * (0.1 + 0.02 * place(raster).y + ink.part().expect("known") * white);
-            Lit { shot: 0, projector: 0, ink, raster, at: raster, light: [Some([light, 1.0]), None, None], foreign: [0.0; 3] }
+            Lit {
+                shot: 0,
+                projector: 0,
+                ink,
+                raster,
+                at: raster,
+                light: [Some([light, 1.0]), None, None],
+                foreign: [0.0; 3],
+            }
         };
         let squares: Vec<Lit> = (0..200).map(square).collect();
         let field = Field::fit(&squares.iter().collect::<Vec<_>>(), 0).expect("enough squares");

@@ -40,7 +40,7 @@ const N_INTERVALS: usize = 12;
 const N: usize = N_INTERVALS + 3;
 /// Terms of the light within one field: white, and what is there without it.
 const N_WHITE: usize = 6;
-const N_BLACK: usize = 3;
+const N_BLACK: usize = 6;
 /// The weight that keeps the spline smooth where nothing is measured.
 const SMOOTHNESS: f64 = 2e-4;
 /// The weight of no light where nothing is measured; that of a square is about 1.
@@ -49,6 +49,14 @@ const WEAK: f64 = 1e-7;
 const LEAST_SQUARES: usize = 5;
 /// Means of 8-bit values are no better than this, so smaller departures are the spline's.
 const LEAST_ERROR: f64 = 1e-3;
+/// A value counts if at least this part of all lies within such a distance beside it.
+const LEAST_PART: f64 = 0.01;
+/// See [`LEAST_PART`].
+const BESIDE: f64 = 0.02;
+/// Steps of the range at which the curve is examined, and those that may be lost at each end.
+const N_STEPS: i32 = 100;
+/// See [`N_STEPS`].
+const MOST_BENT: i32 = 10;
 /// Rounds of weighing anew.
 const N_ROUNDS: usize = 6;
 
@@ -58,8 +66,10 @@ impl Response {
         let mut n_of = vec![[0; 2]; n_groups];
         known.iter().for_each(|it| n_of[it.group][usize::from(it.part >= 0.5)] += 1);
         let is_told = |it: &&Known| n_of[it.group].iter().all(|n| *n >= LEAST_SQUARES);
-        let known: Vec<Known> = known.iter().filter(is_told).copied().collect();
-        let range = extent(known.iter().map(|it| it.value));
+        let mut known: Vec<Known> = known.iter().filter(is_told).copied().collect();
+        // A curve through single squares far from all others may bend as it likes: someone stands before them.
+        let range = dense(known.iter().map(|it| it.value).collect());
+        known.retain(|it| (range[0]..=range[1]).contains(&it.value));
         let white_range = range[1] - range[0];
         if known.is_empty() || white_range < 0.1 {
             return None;
@@ -101,11 +111,18 @@ impl Response {
             response.error = robust_weights(&parts).1;
         }
         // Values of squares that do not fit tell nothing.
-        response.range =
-            extent(known.iter().zip(&weights).filter(|(_, weight)| **weight > 0.5).map(|(it, _)| it.value));
+        let fit_well = known.iter().zip(&weights).filter(|(_, weight)| **weight > 0.5);
+        response.range = dense(fit_well.map(|(it, _)| it.value).collect());
+        // At its ends, a few squares that do not fit may bend it down.
         let [least, most] = response.range;
-        let grows = (0..=100).all(|step| response.slope(least + (most - least) * f64::from(step) / 100.0) > 0.0);
-        (grows && response.coefficients.iter().all(|it| it.is_finite())).then_some(response)
+        let at = |step: i32| least + (most - least) * f64::from(step) / f64::from(N_STEPS);
+        let grows = |step: &i32| response.slope(at(*step)) > 0.0;
+        let middle = N_STEPS / 2;
+        let first = (0..=middle).rev().take_while(grows).last()?;
+        let last = (middle..=N_STEPS).take_while(grows).last()?;
+        response.range = [at(first), at(last)];
+        let is_whole = first <= MOST_BENT && last >= N_STEPS - MOST_BENT;
+        (is_whole && response.coefficients.iter().all(|it| it.is_finite())).then_some(response)
     }
 
     /// The mean light behind values of this mean and variance.
@@ -126,9 +143,15 @@ impl Response {
     }
 }
 
-/// The least and the greatest value.
-fn extent(values: impl Iterator<Item = f64>) -> [f64; 2] {
-    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], it| [f64::min(least, it), f64::max(most, it)])
+/// The least and the greatest value that have enough others beside them, on their side of the middle.
+fn dense(mut values: Vec<f64>) -> [f64; 2] {
+    values.sort_unstable_by(f64::total_cmp);
+    let n_needed = (values.len() as f64 * LEAST_PART).ceil() as usize;
+    let n_between =
+        |from: f64, to: f64| values.partition_point(|it| *it <= to) - values.partition_point(|it| *it < from);
+    let least = values.iter().find(|value| n_between(**value, **value + BESIDE) >= n_needed);
+    let most = values.iter().rfind(|value| n_between(**value - BESIDE, **value) >= n_needed);
+    [least.copied().unwrap_or(0.0), most.copied().unwrap_or(0.0)]
 }
 
 /// The coefficients of sRGB's curve, nearly.

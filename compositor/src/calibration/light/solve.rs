@@ -137,12 +137,9 @@ impl Round {
         let n_projectors = wall.projectors().len();
         let n_cameras = camera_of.iter().max().map_or(0, |last| last + 1);
         // The samples of each shot begin here.
-        let firsts: Vec<usize> = shots
-            .iter()
-            .scan(0, |next, shot| Some(std::mem::replace(next, *next + shot.samples.len())))
-            .collect();
-        let foreign_of =
-            |shot: usize, sample: usize| foreign.get(firsts[shot] + sample).copied().unwrap_or_default();
+        let firsts: Vec<usize> =
+            shots.iter().scan(0, |next, shot| Some(std::mem::replace(next, *next + shot.samples.len()))).collect();
+        let foreign_of = |shot: usize, sample: usize| foreign.get(firsts[shot] + sample).copied().unwrap_or_default();
         let responses: Vec<[Option<Response>; 3]> = (0..n_cameras)
             .map(|camera| {
                 [0, 1, 2].map(|channel| response((camera, channel), shots, camera_of, n_projectors, &foreign_of))

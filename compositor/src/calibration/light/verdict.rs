@@ -178,14 +178,15 @@ fn missing_fault(name: &str, index: usize, shots: &[(&str, LightShot)], solution
     let is_seen = shots.iter().flat_map(|(_, shot)| &shot.samples).any(|sample| sample.projector_idx == index);
     if !is_seen {
         format!(
-            "\"{name}\" is in no photograph of a pattern of light: is it on, is it sharp, and is it in the picture?"
+            "\"{name}\" is in no photograph of a pattern of light: is it on, is it sharp, is it in the picture, and does nobody \
+             stand before it?"
         )
     } else if solution.over_exposed[index] > 0.5 {
         format!("white of \"{name}\" is burnt out in all photographs: expose shorter")
     } else {
         format!(
             "too few squares of \"{name}\" tell its light: photograph every pattern of light with all of it in the picture, \
-             neither burnt out nor too dark"
+             neither burnt out nor too dark, and clear the way to the camera"
         )
     }
 }
