@@ -23,7 +23,7 @@ use anyhow::Context;
 use winit::event_loop::EventLoop;
 
 pub(crate) use self::{
-    calibrating::OnNews,
+    calibrating::{OnWish, Page, Wish},
     join::{host_name, join_hint, own_address},
     waker::Waker,
 };
@@ -73,15 +73,10 @@ impl WindowLoop {
         Waker(self.0.create_proxy())
     }
 
-    /// Opens the windows and shows the first calibration patterns of a plan until `on_news` breaks, or a person ends them.
-    /// See [`calibrating::Patterns`].
-    pub(crate) fn show_patterns(
-        self,
-        wall: &Wall,
-        (plan, n_patterns): (&Plan, u32),
-        on_news: OnNews<'_>,
-    ) -> anyhow::Result<()> {
-        let mut patterns = calibrating::Patterns::new(wall, (plan, n_patterns), on_news);
+    /// Opens the windows and shows a page of a calibration, then what `on_wish` wants, until it breaks. See
+    /// [`calibrating::Patterns`].
+    pub(crate) fn calibrate(self, wall: &Wall, plan: &Plan, first: Page, on_wish: OnWish<'_>) -> anyhow::Result<()> {
+        let mut patterns = calibrating::Patterns::new(wall, plan, first, on_wish);
         self.0.run_app(&mut patterns).context("the display connection failed")?;
         patterns.into_outcome()
     }

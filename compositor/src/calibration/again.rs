@@ -109,7 +109,7 @@ fn judged(
                 projectors.push(Finding { has_fault: true, ..Finding::default() });
                 continue;
             };
-            let of_projector = doubts(name, &finding);
+            let of_projector = doubts(name, &finding, Some(plan.whole_in(index)));
             let mut finding = Finding { has_fault: !of_projector.is_empty(), ..finding };
             faults.extend(of_projector);
             match warp_px(projector, map, plane_from_canvas()) {

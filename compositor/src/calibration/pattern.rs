@@ -150,6 +150,11 @@ impl Plan {
         self.n_patterns
     }
 
+    /// The pattern that shows all of a projector's board, from 0.
+    pub fn whole_in(&self, projector_idx: usize) -> u32 {
+        self.boards[projector_idx].set
+    }
+
     /// The number of all patterns: those that show places, then those that show light.
     pub fn n_with_light(&self) -> u32 {
         2 * self.n_patterns

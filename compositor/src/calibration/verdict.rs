@@ -100,6 +100,11 @@ impl Reading {
         once(self.parts().map(|(_, pattern)| pattern).collect())
     }
 
+    /// The projectors in the photograph, each once.
+    pub fn projectors(&self) -> Vec<usize> {
+        once(self.parts().map(|(projector_idx, _)| projector_idx).collect())
+    }
+
     /// Projectors with the patterns that they show.
     fn parts(&self) -> impl Iterator<Item = (usize, u32)> {
         let places = self.shot.sightings.iter().map(|it| (it.projector_idx, it.pattern));
@@ -113,7 +118,7 @@ impl Reading {
             return format!("{name} {fault}");
         }
         let n_all = wall.projectors().len();
-        let shown = once(self.parts().map(|(projector_idx, _)| projector_idx).collect());
+        let shown = self.projectors();
         let missing: Vec<&str> = (0..n_all)
             .filter(|index| !shown.contains(index))
             .map(|index| wall.projectors()[index].name.as_str())
@@ -172,7 +177,7 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
         finding.moved_px = warp.map(|warp| farthest_move(projector, warp));
         let corners = finding.moved_px.map_or(String::new(), |moved| format!("; its corners move by up to {moved:.1}"));
         found.push(format!("{}{corners}", line(name, &finding)));
-        faults.extend(doubts(name, &finding));
+        faults.extend(doubts(name, &finding, None));
         match warp {
             Some(warp) => warps.push((index, warp)),
             None if plane_from_canvas.is_some() => {
@@ -253,14 +258,15 @@ pub(super) fn line(name: &str, Finding { fit, covered, .. }: &Finding) -> String
     )
 }
 
-/// What speaks against a projector that was found, with the cures.
-pub(super) fn doubts(name: &str, Finding { fit, covered, .. }: &Finding) -> Vec<String> {
+/// What speaks against a projector that was found, with the cures; the pattern that shows all of it, if no other is needed.
+pub(super) fn doubts(name: &str, Finding { fit, covered, .. }: &Finding, whole_in: Option<u32>) -> Vec<String> {
     let Fit { median_px, p95_px, .. } = fit.unwrap_or_default();
     let mut faults = Vec::new();
     if *covered < LEAST_COVERED {
+        let pattern = whole_in.map_or("every pattern".to_owned(), |pattern| format!("pattern {}", pattern + 1));
         faults.push(format!(
-            "only {:.0} % of \"{name}\" was seen, and {:.0} % is needed: take a photograph of every pattern that shows \
-             all of it, and clear the way to the camera",
+            "only {:.0} % of \"{name}\" was seen, and {:.0} % is needed: take a photograph of {pattern} that shows all of \
+             it, and clear the way to the camera",
             100.0 * covered,
             100.0 * LEAST_COVERED
         ));

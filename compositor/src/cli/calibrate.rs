@@ -2,12 +2,15 @@
 //! with `--light` what evens out the projectors' light.
 
 mod photos;
+mod session;
 
 use std::{
     fs,
+    io::{self, IsTerminal},
     ops::ControlFlow,
     path::{Path, PathBuf},
     sync::mpsc,
+    thread,
 };
 
 use anyhow::{Context, bail};
@@ -19,19 +22,23 @@ use renderer::cli::{
 };
 use shared::printable::{counted, printable_line};
 
-use self::photos::{Photo, Watch};
+use self::{
+    photos::{Photo, Watch},
+    session::{Rules, Session},
+};
 use crate::{
-    calibration::{Codebook, Placement, Plan, Reading, Verdict, judge, judge_light},
-    control::alignment::save,
+    calibration::{Codebook, Placement, Plan, Reading, Verdict, check_again, judge, judge_again, judge_light},
+    control::alignment::{findings::CanvasPicture, save},
     gpu::RgbImage,
     wall::Wall,
-    window::WindowLoop,
+    window::{Page, Waker, WindowLoop, Wish},
 };
 
 /// Aligns a wall with a camera: shows patterns, reads photographs of them, and writes corners or meshes, and light
 ///
 /// Without --photos and --patterns, the patterns are shown on the wall's outputs: Space shows the next one, Escape ends.
-/// With --watch, each photograph of a pattern shows the next one by itself. The order of photographs does not matter.
+/// With --watch, each photograph of a pattern shows the next one by itself, Tab what was seen so far, and Enter what was
+/// found; a second Enter writes it. The order of photographs does not matter.
 #[derive(Clone, Debug, clap::Args)]
 pub struct CalibrateArgs {
     /// The wall file: it gets what was found, unless a projector was not found or does not fit
@@ -58,6 +65,19 @@ pub struct CalibrateArgs {
     /// Write what was found of all projectors, whatever speaks against it
     #[arg(long)]
     pub force: bool,
+    /// After a bump: find the projectors that have moved since the file was written, from one photograph or a few of the whole
+    /// wall, and leave the others as they are
+    #[arg(long, conflicts_with_all = ["light", "place", "marks"])]
+    pub again: bool,
+    /// With --photos: show what was found on the wall's outputs, where Enter writes it and Escape does not
+    #[arg(long, requires = "photos")]
+    pub show: bool,
+    /// Write what was found without asking, once nothing speaks against it
+    #[arg(long, conflicts_with = "show")]
+    pub yes: bool,
+    /// Draw what was found of each projector into this file
+    #[arg(long, value_name = "FILE.png")]
+    pub report: Option<PathBuf>,
 }
 
 /// Where the canvas lies.
@@ -88,32 +108,57 @@ fn marks(text: &str) -> Result<Marks, String> {
     if at.iter().all(|at| at.is_finite()) { Ok(Marks { photo: photo.to_owned(), at }) } else { Err(fault()) }
 }
 
-/// Shows, reads, solves and writes.
+/// Shows, reads, solves, asks and writes.
 pub fn run(args: &CalibrateArgs) -> anyhow::Result<()> {
     let wall = Wall::load(&args.file)?;
-    let plan = Plan::of_wall(&wall).map_err(|problem| anyhow::anyhow!("{}: {problem}", args.file.display()))?;
+    let fault_of = |problem: String| anyhow::anyhow!("{}: {problem}", args.file.display());
+    let plan = Plan::of_wall(&wall).map_err(fault_of)?;
+    if args.again {
+        check_again(&wall).map_err(fault_of)?;
+    }
     if let Some(folder) = &args.patterns {
         return write_patterns(args, &wall, &plan, folder);
     }
     check_writable(&args.file)?;
-    let photos = match (&args.photos, &args.watch) {
-        (Some(folder), _) => {
-            let codebook = Codebook::new(&plan);
-            let mut photos = Vec::new();
-            for path in photos::in_folder(folder)? {
-                let photo = Photo::read(&path, &codebook).map_err(|fault| tracing::warn!("{fault}"));
-                photos.extend(photo.inspect(|photo| tracing::info!("{}", photo.reading.line(&wall))));
-            }
-            photos
-        }
-        (None, Some(folder)) => watch(args, &wall, &plan, folder)?,
-        (None, None) => return show(args, &wall, &plan),
+    let Some(folder) = &args.photos else {
+        return match &args.watch {
+            Some(folder) => watch(args, &wall, &plan, folder),
+            None => show(args, &wall, &plan),
+        };
     };
+    let codebook = Codebook::new(&plan);
+    let mut photos = Vec::new();
+    for path in photos::in_folder(folder)? {
+        let photo = Photo::read(&path, &codebook).map_err(|fault| tracing::warn!("{fault}"));
+        photos.extend(photo.inspect(|photo| tracing::info!("{}", photo.reading.line(&wall))));
+    }
     if photos.is_empty() {
         bail!("no photograph was read, so {} stays as it was", args.file.display());
     }
     let verdict = verdict(args, &wall, &plan, &photos)?;
-    finish(args, &verdict)
+    tell(args, &wall, &verdict)?;
+    if args.show {
+        return show_findings(args, &wall, &plan, photos, verdict);
+    }
+    check(args, &verdict)?;
+    // Who runs this in a script reads nothing; a person at a terminal does.
+    if !args.yes && io::stdin().is_terminal() && io::stdout().is_terminal() {
+        say(format_args!("write this into {}? y or n, then Enter", args.file.display()))?;
+        let mut answer = String::new();
+        io::stdin().read_line(&mut answer)?;
+        if is_yes(&answer) != Some(true) {
+            return discarded(args);
+        }
+    }
+    write(args, &verdict)
+}
+
+fn is_yes(answer: &str) -> Option<bool> {
+    match answer.trim() {
+        "y" | "Y" | "yes" => Some(true),
+        "n" | "N" | "no" => Some(false),
+        _ => None,
+    }
 }
 
 /// The number of patterns to show.
@@ -151,16 +196,42 @@ fn show(args: &CalibrateArgs, wall: &Wall, plan: &Plan) -> anyhow::Result<()> {
     stop_with(&window);
     let n_patterns = n_patterns(args, plan);
     tracing::info!("{}: Space shows the next, Escape ends", counted(n_patterns, "pattern"));
-    window.show_patterns(wall, (plan, n_patterns), Box::new(ControlFlow::Continue))?;
+    let mut session = session(args, wall, plan);
+    let on_wish = |wish| {
+        let shown = session.on_wish(wish);
+        log_page(&shown, n_patterns);
+        shown
+    };
+    window.calibrate(wall, plan, Page::Pattern(0), Box::new(on_wish))?;
     say(format_args!(
-        "put the photographs into a folder, then: compositor calibrate {}{} --photos FOLDER",
+        "put the photographs into a folder, then: compositor calibrate {}{}{} --photos FOLDER",
         args.file.display(),
-        if args.light { " --light" } else { "" }
+        if args.light { " --light" } else { "" },
+        if args.again { " --again" } else { "" }
     ))
 }
 
-/// Shows the patterns while photographs come in; ends when all projectors were found and fit, or a person ends it.
-fn watch(args: &CalibrateArgs, wall: &Wall, plan: &Plan, folder: &Path) -> anyhow::Result<Vec<Photo>> {
+/// Shows what photographs of a folder tell, and writes it if somebody accepts it.
+fn show_findings(
+    args: &CalibrateArgs,
+    wall: &Wall,
+    plan: &Plan,
+    photos: Vec<Photo>,
+    verdict: Verdict,
+) -> anyhow::Result<()> {
+    let window = WindowLoop::new()?;
+    stop_with(&window);
+    let mut session = session(args, wall, plan).with_verdict(photos, verdict);
+    let answers = Answers::new(window.waker());
+    answers.ask(session.asks(), args)?;
+    let first = session.page();
+    let on_wish = |wish| session.on_wish(answers.heard(wish));
+    window.calibrate(wall, plan, first, Box::new(on_wish))?;
+    finish(args, session)
+}
+
+/// Shows the patterns while photographs come in; then what was found, which is written if somebody accepts it.
+fn watch(args: &CalibrateArgs, wall: &Wall, plan: &Plan, folder: &Path) -> anyhow::Result<()> {
     let window = WindowLoop::new()?;
     stop_with(&window);
     let (waker, (sender, news)) = (window.waker(), mpsc::channel());
@@ -171,41 +242,130 @@ fn watch(args: &CalibrateArgs, wall: &Wall, plan: &Plan, folder: &Path) -> anyho
     };
     let watch = Watch::start(folder, plan.clone(), report)?;
     let n_patterns = n_patterns(args, plan);
-    tracing::info!("watching {}: take {} from each place", folder.display(), counted(n_patterns, "photograph"));
-    let mut photos: Vec<Photo> = Vec::new();
-    let on_news = |pattern: u32| {
-        let mut next = pattern;
-        for photo in news.try_iter() {
-            match photo {
+    tracing::info!(
+        "watching {}: take {} from each place; Tab shows what was seen, Enter what was found",
+        folder.display(),
+        counted(n_patterns, "photograph")
+    );
+    let mut session = session(args, wall, plan);
+    let answers = Answers::new(window.waker());
+    let mut outcome = Ok(());
+    let on_wish = |wish| {
+        let mut page = None;
+        let shown = match answers.heard(wish) {
+            Wish::News => news.try_iter().try_for_each(|photo| match photo {
                 Ok(photo) => {
                     tracing::info!("{}", photo.reading.line(wall));
-                    let is_last = next + 1 == n_patterns;
-                    let is_shown = photo.reading.patterns().contains(&next);
-                    photos.push(photo);
-                    if !is_shown {
-                        continue;
-                    }
-                    next = (next + 1) % n_patterns;
-                    if !is_last {
-                        continue;
-                    }
-                    match verdict(args, wall, plan, &photos) {
-                        Ok(verdict) if verdict.faults.is_empty() => return ControlFlow::Break(()),
-                        Ok(verdict) => verdict.faults.iter().for_each(|fault| tracing::warn!("{fault}")),
-                        Err(error) => tracing::warn!("{error:#}"),
-                    }
+                    page = session.on_photo(photo)?.or(page.take());
+                    ControlFlow::Continue(())
                 }
-                Err(fault) => tracing::warn!("{fault}"),
-            }
+                Err(fault) => {
+                    tracing::warn!("{fault}");
+                    ControlFlow::Continue(())
+                }
+            }),
+            wish => session.on_wish(wish).map_continue(|shown| page = shown),
+        };
+        session.log.drain(..).for_each(|line| tracing::warn!("{line}"));
+        if let Some(verdict) = session.take_news() {
+            outcome = tell(args, wall, verdict).and_then(|()| answers.ask(session.asks(), args));
         }
-        ControlFlow::Continue(next)
+        let shown = shown.map_continue(|()| page);
+        log_page(&shown, n_patterns);
+        if outcome.is_err() { ControlFlow::Break(()) } else { shown }
     };
-    window.show_patterns(wall, (plan, n_patterns), Box::new(on_news))?;
+    window.calibrate(wall, plan, Page::Pattern(0), Box::new(on_wish))?;
     drop(watch);
-    match Stopped::by_signal(format!("stopped before anything was written: {} stays as it was", args.file.display())) {
-        Some(stopped) => Err(stopped.into()),
-        None => Ok(photos),
+    outcome?;
+    finish(args, session)
+}
+
+fn session<'a>(args: &'a CalibrateArgs, wall: &'a Wall, plan: &'a Plan) -> Session<'a> {
+    let rules = Rules {
+        n_patterns: n_patterns(args, plan),
+        watches: args.watch.is_some(),
+        accepts: args.yes,
+        forces: args.force,
+        is_again: args.again,
+    };
+    Session::new(wall, plan, rules, Box::new(|photos| verdict(args, wall, plan, photos)))
+}
+
+fn log_page(shown: &ControlFlow<(), Option<Page>>, n_patterns: u32) {
+    if let ControlFlow::Continue(Some(Page::Pattern(pattern))) = shown {
+        tracing::info!("pattern {} of {n_patterns} is on the wall", pattern + 1);
     }
+}
+
+/// Writes what was found if somebody accepted it.
+fn finish(args: &CalibrateArgs, session: Session<'_>) -> anyhow::Result<()> {
+    let file = args.file.display();
+    if let Some(stopped) = Stopped::by_signal(format!("stopped before anything was written: {file} stays as it was")) {
+        return Err(stopped.into());
+    }
+    match session.into_verdict() {
+        Some(verdict) => write(args, &verdict),
+        None => discarded(args),
+    }
+}
+
+fn discarded(args: &CalibrateArgs) -> anyhow::Result<()> {
+    say(format_args!("nothing was written: {} stays as it was", args.file.display()))
+}
+
+/// Answers at the terminal, beside keys on the wall.
+struct Answers {
+    waker: Waker,
+    heard: mpsc::Receiver<bool>,
+    sender: mpsc::Sender<bool>,
+    is_asked: std::cell::Cell<bool>,
+}
+
+impl Answers {
+    fn new(waker: Waker) -> Self {
+        let (sender, heard) = mpsc::channel();
+        Self { waker, heard, sender, is_asked: false.into() }
+    }
+
+    /// Says how to answer, if there is something to accept; listens from the first time on.
+    fn ask(&self, asks: bool, args: &CalibrateArgs) -> anyhow::Result<()> {
+        if !asks || args.yes {
+            return Ok(());
+        }
+        let listens = io::stdin().is_terminal() && is_in_foreground();
+        let terminal = if listens { ", or y and n here" } else { "" };
+        say(format_args!(
+            "on the wall, Enter writes this into {}, and Escape does not{terminal}",
+            args.file.display()
+        ))?;
+        if listens && !self.is_asked.replace(true) {
+            let (sender, waker) = (self.sender.clone(), self.waker.clone());
+            // It ends with the program, at the latest: nothing interrupts a terminal's line.
+            thread::Builder::new().name("answers".to_owned()).spawn(move || {
+                for answer in io::stdin().lines().map_while(Result::ok).filter_map(|line| is_yes(&line)) {
+                    if sender.send(answer).is_err() {
+                        break;
+                    }
+                    waker.wake();
+                }
+            })?;
+        }
+        Ok(())
+    }
+
+    /// The wish that was heard at the terminal in place of news, if any.
+    fn heard(&self, wish: Wish) -> Wish {
+        let answer = if wish == Wish::News { self.heard.try_recv().ok() } else { None };
+        answer.map_or(wish, |is_yes| if is_yes { Wish::Accept } else { Wish::Discard })
+    }
+}
+
+/// Whether the terminal's lines are this program's: to read them in the background would stop it.
+fn is_in_foreground() -> bool {
+    let Ok(stat) = fs::read_to_string("/proc/self/stat") else { return true };
+    // The fields after the name in brackets: state, parent, group, session, terminal, the terminal's group.
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+    fields.get(2) == fields.get(5)
 }
 
 fn stop_with(window: &WindowLoop) {
@@ -214,6 +374,10 @@ fn stop_with(window: &WindowLoop) {
 }
 
 fn verdict(args: &CalibrateArgs, wall: &Wall, plan: &Plan, photos: &[Photo]) -> anyhow::Result<Verdict> {
+    if args.again {
+        let readings: Vec<_> = photos.iter().map(|photo| photo.reading.clone()).collect();
+        return Ok(judge_again(wall, plan, &readings));
+    }
     let placement = match (&args.marks, args.place) {
         (Some(Marks { photo, at }), _) => {
             let shot = photos.iter().position(|it| it.reading.name == *photo);
@@ -260,22 +424,41 @@ fn stored(at: DVec2, [width, height]: [usize; 2], orientation: Orientation) -> D
     }
 }
 
-/// Says what was found, and writes it if nothing speaks against that.
-fn finish(args: &CalibrateArgs, Verdict { wall, found, faults, .. }: &Verdict) -> anyhow::Result<()> {
+/// Says what was found, and draws it if asked to.
+fn tell(args: &CalibrateArgs, wall: &Wall, verdict: &Verdict) -> anyhow::Result<()> {
+    let Verdict { wall: new_wall, found, faults, projectors } = verdict;
     for line in found {
         say(printable_line(line))?;
     }
     for fault in faults {
         say(format_args!("fault: {}", printable_line(fault)))?;
     }
+    if let Some(report) = &args.report {
+        let picture = CanvasPicture::of_findings(new_wall.as_ref().unwrap_or(wall), projectors, faults);
+        picture.image().write_png(report)?;
+        say(format_args!("drawn in {}", report.display()))?;
+    }
+    Ok(())
+}
+
+/// Whether there is something to write, and nothing speaks against it.
+fn check(args: &CalibrateArgs, Verdict { wall, faults, .. }: &Verdict) -> anyhow::Result<()> {
     let file = args.file.display();
-    let Some(wall) = wall else { bail!("nothing was found, so {file} stays as it was: see the faults above") };
-    if !faults.is_empty() && !args.force {
+    if !faults.is_empty() && wall.is_some() && !args.force {
         bail!(
             "{} above, so {file} stays as it was: mend what they name, or write what was found with --force",
             counted(faults.len(), "fault")
         );
     }
+    if wall.is_none() && !faults.is_empty() {
+        bail!("nothing was found, so {file} stays as it was: see the faults above");
+    }
+    Ok(())
+}
+
+/// Writes what was found, and keeps the old file.
+fn write(args: &CalibrateArgs, Verdict { wall, .. }: &Verdict) -> anyhow::Result<()> {
+    let Some(wall) = wall else { return discarded(args) };
     let old = save::keep_old(&args.file)?;
     save::save_projectors(&args.file, &save::save_meshes(&args.file, wall)?)?;
     let what = match (wall.surface().is_some(), args.light) {
@@ -285,7 +468,8 @@ fn finish(args: &CalibrateArgs, Verdict { wall, found, faults, .. }: &Verdict) -
         (false, true) => "corners and light",
     };
     say(format_args!(
-        "wrote the {what} into {file}; the old file is {}; N on the wall shows the alignment grid",
+        "wrote the {what} into {}; the old file is {}; N on the wall shows the alignment grid",
+        args.file.display(),
         old.display()
     ))
 }

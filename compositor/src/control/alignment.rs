@@ -1,7 +1,9 @@
 //! Aligns a wall: test patterns, and corners of projectors' images that are dragged into place and saved.
 //!
-//! Pure except for saving. Points are pixels of the spanning output. [`pattern`] draws, [`save`] edits the wall's file.
+//! Pure except for saving. Points are pixels of the spanning output. [`pattern`] draws, [`findings`] shows what a calibration
+//! found, [`save`] edits the wall's file.
 
+pub(crate) mod findings;
 mod history;
 pub(crate) mod pattern;
 pub(crate) mod save;

@@ -1,4 +1,4 @@
-//! Shows calibration patterns in the windows of a wall.
+//! Shows calibration patterns, and what was found with them, in the windows of a wall.
 
 use std::{ops::ControlFlow, time::Instant};
 
@@ -18,35 +18,58 @@ use super::{
 };
 use crate::{
     calibration::Plan,
-    control::alignment::PatternImage,
+    control::alignment::{PatternImage, findings::CanvasPicture},
     overlay::OverlayModel,
     wall::{PixelRect, Wall},
 };
 
-/// Called when the window is woken, with the pattern that is shown; returns the pattern to show, or breaks to end.
-pub(crate) type OnNews<'a> = Box<dyn FnMut(u32) -> ControlFlow<(), u32> + 'a>;
+/// What a person or another thread wants of the windows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Wish {
+    /// Space or the right arrow.
+    Next,
+    /// The left arrow.
+    Previous,
+    /// Tab: what was seen so far.
+    Progress,
+    /// Enter.
+    Accept,
+    /// Escape, Q, or a window that was closed.
+    Discard,
+    /// Another thread has news.
+    News,
+}
 
-/// All windows of a wall with a pattern on them.
-///
-/// Space and the right arrow show the next pattern, the left arrow the one before, Escape, Q and Enter end.
+/// What the windows show.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Page {
+    /// A pattern, from 0.
+    Pattern(u32),
+    /// A picture of the canvas, through the corners or meshes of a wall.
+    Picture(Box<Wall>, CanvasPicture),
+}
+
+/// Called for each wish; returns the page to show if it changes, or breaks to end.
+pub(crate) type OnWish<'a> = Box<dyn FnMut(Wish) -> ControlFlow<(), Option<Page>> + 'a>;
+
+/// All windows of a wall with a page on them.
 pub(super) struct Patterns<'a> {
     wall: &'a Wall,
     plan: &'a Plan,
-    n_patterns: u32,
-    on_news: OnNews<'a>,
+    on_wish: OnWish<'a>,
     outputs: Outputs,
-    pattern: u32,
-    /// Whether the windows have yet to show the pattern.
+    page: Page,
+    /// Whether the windows have yet to show the page.
     is_stale: bool,
     outcome: anyhow::Result<()>,
 }
 
 impl<'a> Patterns<'a> {
-    pub(super) fn new(wall: &'a Wall, (plan, n_patterns): (&'a Plan, u32), on_news: OnNews<'a>) -> Self {
+    pub(super) fn new(wall: &'a Wall, plan: &'a Plan, page: Page, on_wish: OnWish<'a>) -> Self {
         let mut outputs = Outputs::new(wall, true);
         outputs.show_cursor(false);
         outputs.set_title("Patterns – Raywall".to_owned());
-        Self { wall, plan, n_patterns, on_news, outputs, pattern: 0, is_stale: true, outcome: Ok(()) }
+        Self { wall, plan, on_wish, outputs, page, is_stale: true, outcome: Ok(()) }
     }
 
     /// Why the windows closed: `Ok` if a person or the news ended them.
@@ -54,22 +77,27 @@ impl<'a> Patterns<'a> {
         self.outcome
     }
 
-    fn show(&mut self, pattern: u32) {
-        if pattern != self.pattern {
-            tracing::info!("pattern {} of {} is on the wall", pattern + 1, self.n_patterns);
+    fn wish(&mut self, event_loop: &ActiveEventLoop, wish: Wish) {
+        match (self.on_wish)(wish) {
+            ControlFlow::Continue(None) => {}
+            ControlFlow::Continue(Some(page)) => {
+                self.page = page;
+                self.is_stale = true;
+            }
+            ControlFlow::Break(()) => event_loop.exit(),
         }
-        self.pattern = pattern;
-        self.is_stale = true;
     }
 
     fn key(&mut self, event_loop: &ActiveEventLoop, key: &Key) {
-        let n_patterns = self.n_patterns;
-        match key.as_ref() {
-            Key::Named(NamedKey::Space | NamedKey::ArrowRight) => self.show((self.pattern + 1) % n_patterns),
-            Key::Named(NamedKey::ArrowLeft) => self.show((self.pattern + n_patterns - 1) % n_patterns),
-            Key::Named(NamedKey::Escape | NamedKey::Enter) | Key::Character("q" | "Q") => event_loop.exit(),
-            _ => {}
-        }
+        let wish = match key.as_ref() {
+            Key::Named(NamedKey::Space | NamedKey::ArrowRight) => Wish::Next,
+            Key::Named(NamedKey::ArrowLeft) => Wish::Previous,
+            Key::Named(NamedKey::Tab) => Wish::Progress,
+            Key::Named(NamedKey::Enter) => Wish::Accept,
+            Key::Named(NamedKey::Escape) | Key::Character("q" | "Q") => Wish::Discard,
+            _ => return,
+        };
+        self.wish(event_loop, wish);
     }
 
     fn follow_monitors(&mut self, event_loop: &ActiveEventLoop) {
@@ -84,11 +112,21 @@ impl<'a> Patterns<'a> {
         event_loop.exit();
     }
 
-    /// Draws the pattern; windows that are not ready are drawn at the next event.
+    /// Draws the page; windows that are not ready are drawn at the next event.
     fn draw(&mut self) -> anyhow::Result<()> {
         let Some(painter) = &mut self.outputs.painter else { return Ok(()) };
-        painter.show_pattern(&images(self.wall, self.plan, self.pattern)?)?;
-        let drawn = self.outputs.draw(self.wall, None, &OverlayModel::default())?;
+        let wall = match &self.page {
+            Page::Pattern(pattern) => {
+                painter.show_pattern(&images(self.wall, self.plan, *pattern)?)?;
+                self.wall
+            }
+            Page::Picture(wall, CanvasPicture { size, rgba }) => {
+                painter.show_pattern(&[])?;
+                painter.present.upload(&painter.gpu, *size, rgba)?;
+                &**wall
+            }
+        };
+        let drawn = self.outputs.draw(wall, None, &OverlayModel::default())?;
         self.is_stale = drawn.is_none_or(|drawn| drawn.is_incomplete);
         Ok(())
     }
@@ -116,11 +154,7 @@ impl ApplicationHandler<Call> for Patterns<'_> {
     fn user_event(&mut self, event_loop: &ActiveEventLoop, call: Call) {
         match call {
             Call::Close => event_loop.exit(),
-            Call::Check | Call::Apply(_) | Call::Show(_) | Call::Prepared(..) => match (self.on_news)(self.pattern) {
-                ControlFlow::Continue(pattern) if pattern != self.pattern => self.show(pattern),
-                ControlFlow::Continue(_) => {}
-                ControlFlow::Break(()) => event_loop.exit(),
-            },
+            Call::Check | Call::Apply(_) | Call::Show(_) | Call::Prepared(..) => self.wish(event_loop, Wish::News),
         }
     }
 
