@@ -325,34 +325,85 @@ fn the_program_writes_meshes_beside_the_file() {
 /// A camera that photographs the X server's screen: pixels are seen as they are.
 #[test]
 #[cfg(target_os = "linux")]
-fn patterns_on_the_wall_follow_the_photographs_until_it_is_aligned() {
+fn patterns_on_the_wall_follow_the_photographs_and_the_wall_shows_what_was_found() {
     use crate::{
         process::{Program, wait_until},
-        x_session::XSession,
+        x_session::{Screenshot, XSession},
     };
     let folder = tempfile::tempdir().unwrap();
     let (file, photos) = (folder.path().join("ours.toml"), folder.path().join("photos"));
     fs::create_dir(&photos).unwrap();
-    fs::write(&file, "canvas_m = [2.0, 0.75]\n[grid]\ncolumns = 2\nrows = 1\npixels = [400, 300]\n").unwrap();
+    let text = "canvas_m = [2.0, 0.75]\n[grid]\ncolumns = 2\nrows = 1\npixels = [400, 300]\n";
+    fs::write(&file, text).unwrap();
     let session = XSession::start([800, 300]);
-    let mut command = Program::command("compositor");
-    command.env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY");
-    command.arg("calibrate").arg(&file).arg("--watch").arg(&photos);
-    let mut program = Program::start(command);
-    session.wait_for_window("Patterns");
-    for pattern in 1..=2 {
-        wait_until("a pattern is seen", || session.screenshot().brighter_than(200) > 0.1);
-        let shown = session.steady_screenshot();
-        let image = image::RgbImage::from_raw(800, 300, shown.rgb.clone()).unwrap();
-        image.save(photos.join(format!("{pattern}.png"))).unwrap();
-        program.wait_for(&format!("{pattern}.png shows pattern {pattern} on 2 of 2 projectors"));
-        if pattern == 1 {
-            wait_until("the next pattern is seen", || session.screenshot().difference(&shown, 30) > 0.05);
+    let start = |arguments: &[&str]| {
+        let mut command = Program::command("compositor");
+        command.env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY");
+        command.arg("calibrate").arg(&file).args(arguments);
+        let program = Program::start(command);
+        session.wait_for_window("Patterns");
+        program
+    };
+    let folder_of_photos = photos.to_str().unwrap();
+    let image_of = |shown: &Screenshot| image::RgbImage::from_raw(800, 300, shown.rgb.clone()).unwrap();
+    // For those who want to see it.
+    let keep = |name: &str, shown: &Screenshot| {
+        if let Some(kept) = std::env::var_os("RAYWALL_KEEP") {
+            image_of(shown).save(std::path::Path::new(&kept).join(name)).unwrap();
         }
-    }
+    };
+    let take_all = |program: &mut Program, run: u32| {
+        for pattern in 1..=2 {
+            wait_until("a pattern is seen", || session.screenshot().brighter_than(200) > 0.1);
+            let shown = session.steady_screenshot();
+            image_of(&shown).save(photos.join(format!("{run}-{pattern}.png"))).unwrap();
+            program.wait_for(&format!("{run}-{pattern}.png shows pattern {pattern} on 2 of 2 projectors"));
+            if pattern == 1 {
+                wait_until("the next pattern is seen", || session.screenshot().difference(&shown, 30) > 0.05);
+            }
+        }
+    };
+    let is_green = |shown: &Screenshot| {
+        shown.rgb.chunks_exact(3).filter(|px| px[1] > px[0].saturating_add(20)).count() * 3 > 800 * 300 * 2
+    };
+    let check = |said: &str| {
+        let wall = Wall::load(&file).unwrap();
+        let farthest = wall.projectors().iter().flat_map(|it| it.warp_px.as_flattened().to_vec()).map(f64::abs);
+        assert!(farthest.fold(0.0, f64::max) <= 0.05, "{said}");
+    };
+
+    // Somebody looks at the progress and at what was found, and discards it.
+    let mut program = start(&["--watch", folder_of_photos]);
+    take_all(&mut program, 1);
+    wait_until("what was found is seen", || is_green(&session.screenshot()));
+    keep("found.png", &session.steady_screenshot());
+    program.wait_for("Enter writes this into");
+    let found = session.steady_screenshot();
+    session.key("Tab");
+    wait_until("the progress is seen", || session.screenshot().difference(&found, 30) > 0.01);
+    keep("progress.png", &session.steady_screenshot());
+    session.key("Tab");
+    wait_until("a pattern is seen again", || session.screenshot().brighter_than(200) > 0.1);
+    session.key("Escape");
+    let (status, said) = program.wait();
+    assert!(status.code() == Some(0) && said.contains("nothing was written"), "{said}");
+    assert_eq!(fs::read_to_string(&file).unwrap(), text);
+
+    // The photographs as a folder; what was found is shown, and accepted.
+    let mut program = start(&["--photos", folder_of_photos, "--show"]);
+    program.wait_for("Enter writes this into");
+    wait_until("what was found is seen", || is_green(&session.screenshot()));
+    session.key("Return");
+    let (status, said) = program.wait();
+    assert!(status.code() == Some(0) && said.contains("wrote the corners into"), "{said}");
+    assert_eq!(fs::read_to_string(folder.path().join("ours.old-1.toml")).unwrap(), text);
+    check(&said);
+
+    // Nobody is asked.
+    fs::write(&file, text).unwrap();
+    let mut program = start(&["--watch", folder_of_photos, "--yes"]);
+    take_all(&mut program, 3);
     let (status, said) = program.wait();
     assert_eq!(status.code(), Some(0), "{said}");
-    let wall = Wall::load(&file).unwrap();
-    let farthest = wall.projectors().iter().flat_map(|it| it.warp_px.as_flattened().to_vec()).map(f64::abs);
-    assert!(farthest.fold(0.0, f64::max) <= 0.05, "{said}");
+    check(&said);
 }

@@ -11,6 +11,8 @@ mod bench;
 #[cfg(all(test, target_os = "linux"))]
 mod browser;
 #[cfg(test)]
+mod bumped;
+#[cfg(test)]
 mod calibrating;
 #[cfg(test)]
 mod churn;

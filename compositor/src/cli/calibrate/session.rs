@@ -227,3 +227,84 @@ impl<'a> Session<'a> {
 
 /// So many faults are shown at once; the terminal has all.
 const MOST_FAULTS: usize = 4;
+
+#[cfg(test)]
+mod tests {
+    use image::metadata::Orientation;
+
+    use super::*;
+    use crate::calibration::{Codebook, Photograph, Reading, judge};
+
+    fn wall() -> Wall {
+        let text = "canvas_m = [2.0, 0.75]\n[grid]\ncolumns = 2\nrows = 1\npixels = [400, 300]\noverlap = [0.1, 0.0]\n";
+        Wall::from_toml("ours", text).expect("a wall")
+    }
+
+    /// What a camera would see that shows the pixels themselves.
+    fn photo(wall: &Wall, plan: &Plan, pattern: u32) -> Photo {
+        let part = wall.whole_output();
+        let values = plan.draw(pattern, wall, part).into_iter().map(|[grey, ..]| f32::from(grey) / 255.0).collect();
+        let photograph = Photograph { size: [part.width as usize, part.height as usize], values };
+        let reading = Reading::new(format!("{pattern}.png"), &photograph, &Codebook::new(plan));
+        Photo { reading, orientation: Orientation::NoTransforms }
+    }
+
+    fn check(accepts: bool, steps: impl FnOnce(&mut Session<'_>, &dyn Fn(u32) -> Photo)) {
+        let wall = wall();
+        let plan = Plan::of_wall(&wall).expect("patterns");
+        let rules = Rules { n_patterns: plan.n_patterns(), watches: true, accepts, forces: false, is_again: false };
+        let judge: Judge<'_> = Box::new(|photos| {
+            let readings: Vec<Reading> = photos.iter().map(|photo| photo.reading.clone()).collect();
+            Ok(judge(&wall, &plan, &readings, None))
+        });
+        steps(&mut Session::new(&wall, &plan, rules, judge), &|pattern| photo(&wall, &plan, pattern));
+    }
+
+    fn is_picture(shown: &ControlFlow<(), Option<Page>>) -> bool {
+        matches!(shown, ControlFlow::Continue(Some(Page::Picture(..))))
+    }
+
+    #[test]
+    fn photographs_lead_from_pattern_to_pattern_to_findings_which_a_person_accepts() {
+        check(false, |session, photo| {
+            assert_eq!(session.page(), Page::Pattern(0));
+            // A photograph of another pattern changes nothing.
+            assert_eq!(session.on_photo(photo(1)), ControlFlow::Continue(None));
+            assert_eq!(session.on_photo(photo(0)), ControlFlow::Continue(Some(Page::Pattern(1))));
+            assert!(is_picture(&session.on_photo(photo(1))) && session.asks());
+            assert!(session.take_news().is_some_and(|verdict| verdict.faults.is_empty()));
+            assert!(session.take_news().is_none());
+            // More photographs, and back.
+            assert_eq!(session.on_wish(Wish::Next), ControlFlow::Continue(Some(Page::Pattern(0))));
+            assert!(!session.asks() && is_picture(&session.on_wish(Wish::Accept)));
+            assert_eq!(session.on_wish(Wish::Accept), ControlFlow::Break(()));
+            assert!(session.is_accepted);
+        });
+    }
+
+    #[test]
+    fn faults_are_shown_and_cannot_be_accepted() {
+        check(false, |session, photo| {
+            let _ = session.on_photo(photo(0));
+            let progress = session.on_wish(Wish::Progress);
+            assert!(is_picture(&progress) && progress != session.on_wish(Wish::Progress));
+            // One projector was shown as a whole, and the other in part.
+            assert!(is_picture(&session.on_wish(Wish::Accept)));
+            let has_faults = session.take_news().is_some_and(|verdict| !verdict.faults.is_empty());
+            if has_faults {
+                assert_eq!(session.on_wish(Wish::Accept), ControlFlow::Continue(None));
+            }
+            assert_eq!(session.on_wish(Wish::Discard), ControlFlow::Break(()));
+            assert!(!session.is_accepted);
+        });
+    }
+
+    #[test]
+    fn a_wall_that_asks_nobody_ends_when_nothing_speaks_against_it() {
+        check(true, |session, photo| {
+            let _ = session.on_photo(photo(0));
+            assert_eq!(session.on_photo(photo(1)), ControlFlow::Break(()));
+            assert!(session.is_accepted);
+        });
+    }
+}

@@ -1,0 +1,170 @@
+//! Aligning a wall again after a bump, in the virtual room, by the program, and on the wall.
+
+use std::fs;
+
+use compositor::{
+    calibration::{Codebook, Plan, Reading, Verdict, check_again, judge, judge_again},
+    wall::Wall,
+};
+use glam::{DVec2, DVec3};
+
+use crate::{
+    process::Program,
+    room::{camera::Camera, rig::Rig},
+};
+
+/// A wall of 3×3 projectors whose file has their corners, and a camera that sees all of it.
+struct Aligned {
+    rig: Rig,
+    plan: Plan,
+    camera: Camera,
+}
+
+impl Aligned {
+    fn new() -> Self {
+        let mut rig = Rig::new([3, 3], [256, 192], 0.02, "");
+        let plan = Plan::of_wall(&rig.wall).unwrap();
+        let camera = rig.camera([1000, 800], DVec3::new(1.7, 1.2, 3.4), DVec2::new(1.5, 1.125), 0.95);
+        assert!(check_again(&rig.wall).is_err_and(|fault| fault.contains("no corners yet")));
+        let all: Vec<Reading> = (0..plan.n_patterns()).map(|pattern| read(&mut rig, &plan, &camera, pattern)).collect();
+        let Verdict { wall, faults, .. } = judge(&rig.wall, &plan, &all, None);
+        assert!(faults.is_empty(), "{faults:?}");
+        rig.wall = wall.unwrap();
+        check_again(&rig.wall).unwrap();
+        let plan = Plan::of_wall(&rig.wall).unwrap();
+        // The second time, another camera, from elsewhere.
+        let camera = rig.camera([1100, 820], DVec3::new(1.3, 1.0, 3.3), DVec2::new(1.5, 1.1), 0.92);
+        Self { rig, plan, camera }
+    }
+
+    fn bump(&mut self, index: usize, by: [f64; 2]) {
+        self.rig.projectors[index].pinhole = self.rig.projectors[index].pinhole.bumped(by);
+    }
+
+    /// The verdict from a photograph of each of these patterns.
+    fn again(&mut self, patterns: &[u32]) -> Verdict {
+        let Self { rig, plan, camera } = self;
+        let readings: Vec<Reading> = patterns.iter().map(|pattern| read(rig, plan, camera, *pattern)).collect();
+        judge_again(&rig.wall, plan, &readings)
+    }
+
+    /// Projectors whose corners differ from the file's.
+    fn changed(&self, wall: &Wall) -> Vec<usize> {
+        let both = self.rig.wall.projectors().iter().zip(wall.projectors());
+        both.enumerate().filter(|(_, (old, new))| old != new).map(|(index, _)| index).collect()
+    }
+}
+
+fn read(rig: &mut Rig, plan: &Plan, camera: &Camera, pattern: u32) -> Reading {
+    rig.show(plan, pattern, &[]);
+    rig.read(camera, &Codebook::new(plan), &format!("{pattern}.png"), None, u64::from(pattern) + 31)
+}
+
+#[test]
+fn after_a_bump_one_photograph_aligns_the_projector_that_moved_and_no_other() {
+    let mut it = Aligned::new();
+    it.bump(4, [0.012, -0.008]);
+    let before = it.rig.agreement(&it.rig.wall);
+    assert!(before.apart_px[1] > 2.0, "{before:?}");
+    let pattern = it.plan.whole_in(4);
+    let Verdict { wall, found, faults, projectors } = it.again(&[pattern]);
+    assert!(faults.is_empty(), "{faults:?}\n{found:#?}");
+    let wall = wall.unwrap();
+    let after = it.rig.agreement(&wall);
+    println!("one photograph of nine projectors: {after:?}");
+    assert!(after.apart_px[0] < 0.1 && after.apart_px[1] < 0.3 && after.bent_px < 0.3, "{after:?}");
+    assert_eq!(it.changed(&wall), [4]);
+    let moved: Vec<bool> = projectors.iter().map(|finding| finding.moved_px.unwrap() > 0.0).collect();
+    assert_eq!(moved.iter().filter(|moved| **moved).count(), 1);
+    assert!(moved[4] && found.iter().filter(|line| line.contains("it has not moved")).count() == 8, "{found:?}");
+    // Another pattern shows too little of it, and the cure names the one that shows all.
+    let other = (pattern + 1) % it.plan.n_patterns();
+    let Verdict { faults, .. } = it.again(&[other]);
+    let cure = format!("take a photograph of pattern {}", pattern + 1);
+    assert!(faults.len() == 1 && faults[0].contains("row 2 column 2") && faults[0].contains(&cure), "{faults:?}");
+}
+
+#[test]
+fn a_second_projector_that_moved_is_found_too_and_too_many_are_refused() {
+    let mut it = Aligned::new();
+    it.bump(4, [0.012, -0.008]);
+    // Half a pixel's worth is enough to be noticed.
+    it.bump(2, [0.002, 0.001]);
+    let all: Vec<u32> = (0..it.plan.n_patterns()).collect();
+    for patterns in [&all[..], &[it.plan.whole_in(4)]] {
+        let Verdict { wall, found, projectors, .. } = it.again(patterns);
+        let moved: Vec<usize> =
+            (0..projectors.len()).filter(|index| projectors[*index].moved_px != Some(0.0)).collect();
+        assert_eq!(moved, [2, 4], "{found:#?}");
+        if patterns.len() > 1 {
+            let after = it.rig.agreement(&wall.unwrap());
+            assert!(after.apart_px[0] < 0.1 && after.apart_px[1] < 0.3, "{after:?}");
+        }
+    }
+    for index in [0, 3, 7] {
+        it.bump(index, [0.004 + 0.001 * index as f64, -0.005]);
+    }
+    let Verdict { faults, .. } = it.again(&all);
+    assert!(faults.iter().any(|fault| fault.contains("fewer than half may have moved")), "{faults:?}");
+}
+
+#[test]
+fn projectors_that_no_photograph_shows_are_not_taken_for_unmoved() {
+    let mut it = Aligned::new();
+    it.bump(4, [0.012, -0.008]);
+    // A close-up without the right column.
+    it.camera = it.rig.camera([1000, 1000], DVec3::new(0.9, 1.1, 2.3), DVec2::new(0.85, 1.1), 0.95);
+    let Verdict { faults, .. } = it.again(&[it.plan.whole_in(4)]);
+    let names = |fault: &String| fault.contains("row 2 column 3") && fault.contains("photograph the whole wall");
+    assert!(faults.iter().any(names), "{faults:?}");
+    // No photograph at all.
+    let Verdict { wall, faults, .. } = judge_again(&it.rig.wall, &it.plan, &[]);
+    assert!(wall.is_none() && faults[0].contains("photograph the whole wall"), "{faults:?}");
+}
+
+#[test]
+fn a_wall_that_did_not_move_stays_as_it_is() {
+    let mut it = Aligned::new();
+    let Verdict { wall, found, faults, .. } = it.again(&[0]);
+    assert!(wall.is_none() && faults.is_empty(), "{faults:?}");
+    assert!(found.iter().any(|line| line.contains("no projector has moved")), "{found:?}");
+}
+
+#[test]
+fn the_program_aligns_again_draws_a_report_and_says_when_it_cannot() {
+    let mut it = Aligned::new();
+    let folder = tempfile::tempdir().unwrap();
+    let (file, photos, report) =
+        (folder.path().join("ours.toml"), folder.path().join("photos"), folder.path().join("report.png"));
+    fs::create_dir(&photos).unwrap();
+    fs::write(&file, it.rig.wall.to_toml()).unwrap();
+    it.bump(4, [0.012, -0.008]);
+    let pattern = it.plan.whole_in(4);
+    it.rig.show(&it.plan, pattern, &[]);
+    fs::write(photos.join("one.png"), it.camera.photograph(&it.rig.projectors, None, 7)).unwrap();
+    let run = |arguments: &[&str]| {
+        let mut command = Program::command("compositor");
+        command.arg("calibrate").arg(&file).arg("--photos").arg(&photos).args(arguments);
+        let (status, said) = Program::start(command).wait();
+        (status.code(), said)
+    };
+    let (code, said) = run(&["--again", "--report", report.to_str().unwrap()]);
+    assert!(code == Some(0) && said.contains("wrote the corners into"), "{said}");
+    let wall = Wall::load(&file).unwrap();
+    assert_eq!(it.changed(&wall), [4]);
+    let after = it.rig.agreement(&wall);
+    assert!(after.apart_px[0] < 0.1 && after.apart_px[1] < 0.3, "{after:?}");
+    let drawn = image::open(&report).unwrap().into_rgb8();
+    assert_eq!(drawn.width(), 1920);
+    // Fields are green where projectors fit.
+    let green = drawn.pixels().filter(|px| px.0[1] > px.0[0] + 30).count();
+    assert!(green * 2 > drawn.pixels().count(), "{green}");
+    // A second time nothing has moved, and the file stays.
+    let before = fs::read_to_string(&file).unwrap();
+    let (code, said) = run(&["--again"]);
+    assert!(code == Some(0) && said.contains("no projector has moved"), "{said}");
+    assert_eq!(fs::read_to_string(&file).unwrap(), before);
+    fs::write(&file, "canvas_m = [2.0, 0.75]\n[grid]\ncolumns = 2\nrows = 1\npixels = [256, 192]\n").unwrap();
+    let (code, said) = run(&["--again"]);
+    assert!(code == Some(1) && said.contains("the file has no corners yet"), "{said}");
+}
