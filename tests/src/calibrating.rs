@@ -54,7 +54,7 @@ fn readings(rig: &mut Rig, plan: &Plan, camera: &Camera, off: &[usize]) -> Vec<R
 fn a_camera_on_a_tripod_aligns_projectors_however_they_hang() {
     let (rig, plan, _, readings) = photographed();
     let before = rig.agreement(&rig.wall);
-    let Verdict { wall, found, faults } = judge(&rig.wall, &plan, &readings, None);
+    let Verdict { wall, found, faults, .. } = judge(&rig.wall, &plan, &readings, None);
     assert!(faults.is_empty(), "{faults:?}\n{found:#?}");
     let after = rig.agreement(&wall.unwrap());
     assert!(before.apart_px[0] > 2.0, "{before:?}");
@@ -82,7 +82,7 @@ fn a_phone_in_two_hands_joins_what_each_photograph_sees_in_any_order() {
     readings.reverse();
     // Nobody sees all of the wall.
     assert!(readings.iter().all(|reading| !reading.line(&rig.wall).contains("6 of 6")));
-    let Verdict { wall, found, faults } = judge(&rig.wall, &plan, &readings, None);
+    let Verdict { wall, found, faults, .. } = judge(&rig.wall, &plan, &readings, None);
     assert!(faults.is_empty(), "{faults:?}\n{found:#?}");
     let after = rig.agreement(&wall.unwrap());
     assert!(after.apart_px[0] < 0.15 && after.apart_px[1] < 0.5 && after.bent_px < 0.5, "{after:?}");
@@ -215,7 +215,7 @@ fn a_cylinder_and_a_fold_are_aligned_from_a_phone_s_photographs() {
     {
         let plan = Plan::of_wall(&rig.wall).unwrap();
         let readings = by_phone(&mut rig, &plan);
-        let Verdict { wall, found, faults } = judge(&rig.wall, &plan, &readings, None);
+        let Verdict { wall, found, faults, .. } = judge(&rig.wall, &plan, &readings, None);
         assert!(faults.is_empty(), "{name}: {faults:?}\n{found:#?}");
         let wall = wall.unwrap();
         let ([median, p99], stretched) = rig.agreement_of_meshes(&wall);

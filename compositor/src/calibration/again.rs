@@ -3,15 +3,17 @@
 //! The corners in the file say where every projector's pixels were on the canvas. Those that have not moved show the camera
 //! where it stands and how its lens bends, so one photograph tells the others' new places; nothing else is kept from the
 //! first run, and any camera will do. Which projectors have moved is not assumed: all are, at first, where the file has
-//! them, and the one that fits worst is let go until the rest agree (least trimmed squares in spirit: Rousseeuw 1984).
-//! Fewer than half of the projectors may be let go, since they would outvote the others.
+//! them, and the one that fits worst is let go until the rest agree; then those are held again that do agree with these, as
+//! the first to go may have been pulled by others (least trimmed squares in spirit: Rousseeuw 1984). Fewer than half of the
+//! projectors may have moved, since they would outvote the others.
 
 use glam::{DMat3, DVec2, DVec3};
 use shared::printable::counted;
 
 use super::{
     finding::Finding,
-    fitting::{median, with_unit_depth},
+    fitting::{median, quantile, with_unit_depth},
+    lens::Lens,
     pattern::Plan,
     place::warp_px,
     solve::{Shot, Solution, solve_from},
@@ -20,7 +22,7 @@ use super::{
         solved_without_misfits, with_warps, without_reflections,
     },
 };
-use crate::wall::{Projector, Wall};
+use crate::wall::{Projector, Wall, homography::apply};
 
 /// Projectors that are nearer than this to where the file has them, in their pixels, have not moved, and those within three
 /// times the usual distance. Beyond [`LARGEST_MEDIAN_PX`], all have.
@@ -28,7 +30,7 @@ const LEAST_MOVE_PX: f64 = 0.1;
 /// See [`LEAST_MOVE_PX`].
 const USUAL_MOVE: f64 = 3.0;
 /// The part of the crossings of a projector that must be seen to tell that it has not moved.
-const LEAST_SEEN: f64 = 0.2;
+const LEAST_SEEN: f64 = 0.15;
 /// Fewer projectors outvote none.
 const LEAST_PROJECTORS: usize = 3;
 
@@ -62,17 +64,23 @@ pub fn judge_again(wall: &Wall, plan: &Plan, readings: &[Reading]) -> Verdict {
         return Verdict { wall: None, found, faults, projectors: Vec::new() };
     };
     let mut has_moved = vec![false; n_projectors];
-    let solution = loop {
+    let solve = |has_moved: &[bool], shots: &[Shot]| {
         let known: Vec<Option<DMat3>> =
-            all.iter().zip(&has_moved).map(|(map, has_moved)| (!has_moved).then_some(*map)).collect();
-        let solve = |shots: &[Shot]| solve_from(&known, shots);
-        let solution = solve(&shots);
-        match farthest(&solution, &has_moved) {
-            Some(farthest) => has_moved[farthest] = true,
-            // Photographs that do not fit are told from projectors that have moved only now.
-            None => break solved_without_misfits(readings, &mut shots, &mut found, &solve),
-        }
+            all.iter().zip(has_moved).map(|(map, has_moved)| (!has_moved).then_some(*map)).collect();
+        solve_from(&known, shots)
     };
+    let mut solution = solve(&has_moved, &shots);
+    while let Some(farthest) = farthest(&solution, &has_moved) {
+        has_moved[farthest] = true;
+        solution = solve(&has_moved, &shots);
+    }
+    // Each time, the one that agrees best.
+    while let Some(nearest) = nearest(&all, &shots, &solution, &has_moved) {
+        has_moved[nearest] = false;
+        solution = solve(&has_moved, &shots);
+    }
+    // Photographs that do not fit are told from projectors that have moved only now.
+    let solution = solved_without_misfits(readings, &mut shots, &mut found, &|shots| solve(&has_moved, shots));
     judged(wall, plan, &shots, &solution, &has_moved, found)
 }
 
@@ -150,15 +158,48 @@ fn judged(
     Verdict { wall: new_wall, found, faults, projectors }
 }
 
+/// The distance beyond which a projector has moved, by the usual distances of those that have not.
+fn limit(solution: &Solution, has_moved: &[bool]) -> f64 {
+    let still = (0..has_moved.len()).filter(|index| !has_moved[*index] && solution.fits[*index].n_points > 0);
+    let usual = median(still.map(|index| solution.fits[index].median_px).collect());
+    (USUAL_MOVE * usual).clamp(LEAST_MOVE_PX, LARGEST_MEDIAN_PX)
+}
+
+/// Whether points at these distances, half and nineteen of twenty, lie where they should.
+fn agrees([median_px, p95_px]: [f64; 2], limit: f64) -> bool {
+    median_px <= limit && p95_px <= LARGEST_P95_PX
+}
+
 /// The projector, of those that count as unmoved, that lies farthest from where the file has it, if that is too far.
 fn farthest(solution: &Solution, has_moved: &[bool]) -> Option<usize> {
-    let away = |index: usize| solution.fits[index].median_px;
-    let still = || (0..has_moved.len()).filter(|index| !has_moved[*index] && solution.fits[*index].n_points > 0);
-    let usual = median(still().map(away).collect());
-    let limit = (USUAL_MOVE * usual).clamp(LEAST_MOVE_PX, LARGEST_MEDIAN_PX);
-    let farthest = still().max_by(|a, b| away(*a).total_cmp(&away(*b)))?;
-    let is_far = |index: usize| away(index) > limit || solution.fits[index].p95_px > LARGEST_P95_PX;
-    is_far(farthest).then_some(farthest).or_else(|| still().find(|index| is_far(*index)))
+    let limit = limit(solution, has_moved);
+    let away = |index: usize| [solution.fits[index].median_px, solution.fits[index].p95_px];
+    let still = (0..has_moved.len()).filter(|index| !has_moved[*index] && solution.fits[*index].n_points > 0);
+    still.filter(|index| !agrees(away(*index), limit)).max_by(|a, b| away(*a)[0].total_cmp(&away(*b)[0]))
+}
+
+/// The projector, of those that count as moved, that lies nearest to where the file has it, if that is near enough.
+fn nearest(all: &[DMat3], shots: &[Shot], solution: &Solution, has_moved: &[bool]) -> Option<usize> {
+    let limit = limit(solution, has_moved);
+    let moved = (0..has_moved.len()).filter(|index| has_moved[*index]);
+    let away = moved.map(|index| (index, distances(index, all[index], shots, solution)));
+    let near = away.filter(|(_, away)| agrees(*away, limit)).min_by(|(_, a), (_, b)| a[0].total_cmp(&b[0]));
+    near.map(|(index, _)| index)
+}
+
+/// How far a projector's points are from where a map has them, in its pixels: half and nineteen of twenty are nearer.
+fn distances(index: usize, px_from_plane: DMat3, shots: &[Shot], solution: &Solution) -> [f64; 2] {
+    let mut all = Vec::new();
+    for (shot_idx, shot) in shots.iter().enumerate() {
+        let Some(plane_from_shot) = solution.plane_from_shot[shot_idx] else { continue };
+        for [px, at] in shot.sightings.iter().filter(|it| it.projector_idx == index).flat_map(|it| &it.points) {
+            let seen = Lens::normalised(shot.size, *at);
+            let plane = apply(plane_from_shot, solution.lenses[shot_idx].undistorted(seen).at);
+            let there = plane.and_then(|plane| apply(px_from_plane, plane));
+            all.push(there.map_or(f64::INFINITY, |there| there.distance(*px)));
+        }
+    }
+    [quantile(&mut all, 0.5), quantile(&mut all, 0.95)]
 }
 
 /// The plane of the solution is the canvas, from its middle.
@@ -183,7 +224,6 @@ fn px_from_plane(projector: &Projector) -> Option<DMat3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wall::homography::apply;
 
     #[test]
     fn the_file_says_where_a_projector_s_pixels_were() {

@@ -4,7 +4,7 @@ use shared::printable::counted;
 
 use super::{
     bent::{self, BentSolution, Layout},
-    finding::{Finding, means},
+    finding::{Finding, typical},
     pattern::Plan,
     place::Placement,
     solve::{Fit, Shot},
@@ -126,6 +126,6 @@ fn report(
              it move between photographs, and does the camera come near enough?"
         ));
     }
-    let misses = means(&solution.misses(index), solution.size(index));
+    let misses = typical(&solution.misses(index), solution.size(index));
     Finding { fit: Some(fit), covered, misses, ..Finding::default() }
 }

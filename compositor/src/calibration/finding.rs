@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::DVec2;
 
-use super::solve::Fit;
+use super::{fitting::median, solve::Fit};
 
 /// What photographs told of one projector.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -15,24 +15,28 @@ pub struct Finding {
     pub covered: f64,
     /// How far its corners move, at most, in its pixels; `None` for meshes, and for what was not found.
     pub moved_px: Option<f64>,
-    /// Crossings in its pixels, and how far from there they were seen: means over parts of its picture.
+    /// Places in its pixels, and how far from there they were seen: medians over parts of its picture.
     pub misses: Vec<[DVec2; 2]>,
     /// Whether something speaks against it.
     pub has_fault: bool,
 }
 
-/// Parts of a picture, along its longer side, for which the mean miss is told.
+/// Parts of a picture, along its longer side, for which a typical miss is told.
 const N_PARTS: f64 = 10.0;
 
-/// Means of misses over parts of a picture of `size` pixels: a single crossing tells the camera's noise.
-pub(super) fn means(misses: &[[DVec2; 2]], size: DVec2) -> Vec<[DVec2; 2]> {
+/// Typical misses over parts of a picture of `size` pixels: a single crossing tells the camera's noise.
+pub(super) fn typical(misses: &[[DVec2; 2]], size: DVec2) -> Vec<[DVec2; 2]> {
     let side = size.max_element() / N_PARTS;
-    let mut parts: BTreeMap<[i32; 2], (DVec2, DVec2, f64)> = BTreeMap::new();
-    for [px, by] in misses {
-        let (places, sum, n) = parts.entry((*px / side).floor().as_ivec2().to_array()).or_default();
-        (*places, *sum, *n) = (*places + *px, *sum + *by, *n + 1.0);
+    let mut parts: BTreeMap<[i32; 2], Vec<[DVec2; 2]>> = BTreeMap::new();
+    for miss in misses {
+        parts.entry((miss[0] / side).floor().as_ivec2().to_array()).or_default().push(*miss);
     }
-    parts.into_values().map(|(places, sum, n)| [places / n, sum / n]).collect()
+    let of_part = |all: Vec<[DVec2; 2]>| {
+        let along = |axis: usize| median(all.iter().map(|[_, by]| by[axis]).collect());
+        let place = all.iter().map(|[px, _]| *px).sum::<DVec2>() / all.len() as f64;
+        [place, DVec2::new(along(0), along(1))]
+    };
+    parts.into_values().map(of_part).collect()
 }
 
 #[cfg(test)]
@@ -40,14 +44,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn misses_of_one_part_are_one() {
-        let miss = |n: u32| [DVec2::new(f64::from(n % 4) * 10.0 + 5.0, 5.0), DVec2::new(0.1, f64::from(n % 2))];
-        let all: Vec<_> = (0..8).map(miss).collect();
-        let of = means(&all, DVec2::new(200.0, 100.0));
-        assert_eq!(of.len(), 2);
-        assert!(
-            (of[0][0] - DVec2::new(10.0, 5.0)).length() < 1e-9 && (of[0][1] - DVec2::new(0.1, 0.5)).length() < 1e-9
-        );
-        assert!(means(&[], DVec2::ONE).is_empty());
+    fn misses_of_one_part_are_one_and_strays_do_not_count() {
+        let miss = |n: u32| {
+            let px = DVec2::new(f64::from(n % 2) * 20.0 + 5.0, 5.0);
+            [px, if n > 7 { DVec2::new(50.0, -50.0) } else { DVec2::new(0.1, 0.2) }]
+        };
+        let all: Vec<_> = (0..10).map(miss).collect();
+        let of = typical(&all, DVec2::new(200.0, 100.0));
+        assert_eq!(of, [[DVec2::new(5.0, 5.0), DVec2::new(0.1, 0.2)], [DVec2::new(25.0, 5.0), DVec2::new(0.1, 0.2)]]);
+        assert!(typical(&[], DVec2::ONE).is_empty());
     }
 }

@@ -4,7 +4,7 @@ use shared::printable::counted;
 
 use super::{
     bent_verdict, crossing,
-    finding::{Finding, means},
+    finding::{Finding, typical},
     fitting::median,
     identify::Codebook,
     lattice,
@@ -236,7 +236,7 @@ pub(super) fn finding(wall: &Wall, plan: &Plan, solution: &Solution, index: usiz
         fit: Some(fit),
         covered: fit.n_crossings as f64 / plan.boards[index].n_crossings().max(1) as f64,
         moved_px: None,
-        misses: means(&solution.misses[index], wall.projectors()[index].output.size()),
+        misses: typical(&solution.misses[index], wall.projectors()[index].output.size()),
         has_fault: false,
     }
 }

@@ -70,6 +70,8 @@ fn main() -> anyhow::Result<()> {
         Camera { jpeg: Some(90), noise: 0.02, blur_px: 0.9, exposure: 0.75, colours: Some(COLOURS), ..camera }
     };
     measure(&mut rig, &plan, &folder.join("phone"), "12 megapixels, JPEG, by hand ×3", &mut phone, places.len())?;
+    bump(&rig, &folder.join("tripod"), "24 megapixels, after a bump", &tripod)?;
+    bump(&rig, &folder.join("phone"), "12 megapixels, after a bump", &phone(1))?;
     if kept.is_none() {
         fs::remove_dir_all(&temporary)?;
     }
@@ -100,10 +102,30 @@ fn measure(
         let photograph = camera.photograph(&rig.projectors, None, n_photos);
         fs::write(photos.join(format!("{place}-{pattern}.{ending}")), photograph)?;
     }
-    let Cost { most_kb, cpu_s } = align(&file, &photos)?;
+    let Cost { most_kb, cpu_s } = align(&file, &photos, "--light")?;
     let wall = Wall::load(&file)?;
     let cost = [format!("{cpu_s:.1}"), format!("{:.0}", most_kb / 1e3)];
     print(&title, n_photos, rig.agreement(&wall), [&cost[0], &cost[1]], light_of(rig, &wall)?);
+    Ok(())
+}
+
+/// Bumps a projector of the wall in a folder, and has the program align it again from a photograph of the pattern that shows
+/// all of it.
+fn bump(rig: &Rig, folder: &Path, title: &str, camera: &Camera) -> anyhow::Result<()> {
+    const BUMPED: usize = 5;
+    let file = folder.join("wall.toml");
+    let mut rig = Rig { wall: Wall::load(&file)?, ..rig.clone() };
+    rig.projectors[BUMPED].pinhole = rig.projectors[BUMPED].pinhole.bumped([0.012, -0.008]);
+    print(&"a projector was bumped", 0, rig.agreement(&rig.wall), ["", ""], light_of(&rig, &rig.wall)?);
+    let plan = Plan::of_wall(&rig.wall).map_err(anyhow::Error::msg)?;
+    let photos = folder.join("again");
+    fs::create_dir_all(&photos)?;
+    rig.show(&plan, plan.whole_in(BUMPED), &[]);
+    fs::write(photos.join("again.jpg"), camera.photograph(&rig.projectors, None, 77))?;
+    let Cost { most_kb, cpu_s } = align(&file, &photos, "--again")?;
+    let wall = Wall::load(&file)?;
+    let cost = [format!("{cpu_s:.1}"), format!("{:.0}", most_kb / 1e3)];
+    print(&title, 1, rig.agreement(&wall), [&cost[0], &cost[1]], light_of(&rig, &wall)?);
     Ok(())
 }
 
@@ -151,12 +173,12 @@ struct Cost {
     cpu_s: f64,
 }
 
-/// Runs the program.
-fn align(file: &Path, photos: &Path) -> anyhow::Result<Cost> {
+/// Runs the program, `--light` or `--again`.
+fn align(file: &Path, photos: &Path, kind: &str) -> anyhow::Result<Cost> {
     let own = std::env::current_exe()?;
     let program = own.ancestors().nth(2).context("target/release/examples")?.join("compositor");
     let mut command = Command::new(&program);
-    command.arg("calibrate").arg(file).arg("--light").arg("--photos").arg(photos).stdout(Stdio::null());
+    command.arg("calibrate").arg(file).arg(kind).arg("--photos").arg(photos).stdout(Stdio::null());
     let mut child =
         command.spawn().with_context(|| format!("{} does not start: cargo build --release", program.display()))?;
     let mut cost = Cost::default();

@@ -175,8 +175,9 @@ fn draw_arrow(sheet: &mut Sheet, projector: &Projector, [from, to]: [DVec2; 2], 
 /// Lines in the middle of a projector's rectangle.
 fn draw_lines(sheet: &mut Sheet, rect: PixelRect, lines: &[String]) {
     let n_letters = lines.iter().map(|line| line.chars().count()).max().unwrap_or(1).max(12) as f64;
-    let size = (f64::from(rect.width) / (0.55 * n_letters)).min(f64::from(rect.height) / 9.0).max(8.0);
-    let mut at = rect.origin() + rect.size() / 2.0 - DVec2::new(0.0, 0.5 * size * lines.len() as f64);
+    let size = (f64::from(rect.width) / (0.8 * n_letters)).min(f64::from(rect.height) / 12.0).max(8.0);
+    // Above the middle, where notes hide nothing.
+    let mut at = rect.origin() + rect.size() * DVec2::new(0.5, 0.35) - DVec2::new(0.0, 0.5 * size * lines.len() as f64);
     for (index, line) in lines.iter().enumerate() {
         let size = if index == 0 { 1.8 * size } else { size };
         sheet.text(at, size, WHITE, line);
