@@ -25,7 +25,7 @@ use super::{
 use crate::wall::{Projector, Wall, homography::apply};
 
 /// Projectors that are nearer than this to where the file has them, in their pixels, have not moved, and those within three
-/// times the usual distance. Beyond [`LARGEST_MEDIAN_PX`], all have.
+/// times the distance that photographs leave anyway. Beyond [`LARGEST_MEDIAN_PX`], all have.
 const LEAST_MOVE_PX: f64 = 0.1;
 /// See [`LEAST_MOVE_PX`].
 const USUAL_MOVE: f64 = 3.0;
@@ -69,13 +69,14 @@ pub fn judge_again(wall: &Wall, plan: &Plan, readings: &[Reading]) -> Verdict {
             all.iter().zip(has_moved).map(|(map, has_moved)| (!has_moved).then_some(*map)).collect();
         solve_from(&known, shots)
     };
+    let limit = limit(n_projectors, &shots);
     let mut solution = solve(&has_moved, &shots);
-    while let Some(farthest) = farthest(&solution, &has_moved) {
+    while let Some(farthest) = farthest(&solution, &has_moved, limit) {
         has_moved[farthest] = true;
         solution = solve(&has_moved, &shots);
     }
     // Each time, the one that agrees best.
-    while let Some(nearest) = nearest(&all, &shots, &solution, &has_moved) {
+    while let Some(nearest) = nearest(&all, &shots, &solution, &has_moved, limit) {
         has_moved[nearest] = false;
         solution = solve(&has_moved, &shots);
     }
@@ -158,11 +159,11 @@ fn judged(
     Verdict { wall: new_wall, found, faults, projectors }
 }
 
-/// The distance beyond which a projector has moved, by the usual distances of those that have not.
-fn limit(solution: &Solution, has_moved: &[bool]) -> f64 {
-    let still = (0..has_moved.len()).filter(|index| !has_moved[*index] && solution.fits[*index].n_points > 0);
-    let usual = median(still.map(|index| solution.fits[index].median_px).collect());
-    (USUAL_MOVE * usual).clamp(LEAST_MOVE_PX, LARGEST_MEDIAN_PX)
+/// The distance beyond which a projector has moved, by how well photographs fit projectors that may stand anywhere.
+fn limit(n_projectors: usize, shots: &[Shot]) -> f64 {
+    let free = solve_from(&vec![None; n_projectors], shots);
+    let fits = free.fits.iter().filter(|fit| fit.n_points > 0);
+    (USUAL_MOVE * median(fits.map(|fit| fit.median_px).collect())).clamp(LEAST_MOVE_PX, LARGEST_MEDIAN_PX)
 }
 
 /// Whether points at these distances, half and nineteen of twenty, lie where they should.
@@ -171,16 +172,14 @@ fn agrees([median_px, p95_px]: [f64; 2], limit: f64) -> bool {
 }
 
 /// The projector, of those that count as unmoved, that lies farthest from where the file has it, if that is too far.
-fn farthest(solution: &Solution, has_moved: &[bool]) -> Option<usize> {
-    let limit = limit(solution, has_moved);
+fn farthest(solution: &Solution, has_moved: &[bool], limit: f64) -> Option<usize> {
     let away = |index: usize| [solution.fits[index].median_px, solution.fits[index].p95_px];
     let still = (0..has_moved.len()).filter(|index| !has_moved[*index] && solution.fits[*index].n_points > 0);
     still.filter(|index| !agrees(away(*index), limit)).max_by(|a, b| away(*a)[0].total_cmp(&away(*b)[0]))
 }
 
 /// The projector, of those that count as moved, that lies nearest to where the file has it, if that is near enough.
-fn nearest(all: &[DMat3], shots: &[Shot], solution: &Solution, has_moved: &[bool]) -> Option<usize> {
-    let limit = limit(solution, has_moved);
+fn nearest(all: &[DMat3], shots: &[Shot], solution: &Solution, has_moved: &[bool], limit: f64) -> Option<usize> {
     let moved = (0..has_moved.len()).filter(|index| has_moved[*index]);
     let away = moved.map(|index| (index, distances(index, all[index], shots, solution)));
     let near = away.filter(|(_, away)| agrees(*away, limit)).min_by(|(_, a), (_, b)| a[0].total_cmp(&b[0]));
