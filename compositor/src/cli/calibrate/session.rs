@@ -233,20 +233,28 @@ mod tests {
     use image::metadata::Orientation;
 
     use super::*;
-    use crate::calibration::{Codebook, Photograph, Reading, judge};
+    use crate::calibration::{Codebook, Finding, Photograph, Reading, judge};
 
     fn wall() -> Wall {
         let text = "canvas_m = [2.0, 0.75]\n[grid]\ncolumns = 2\nrows = 1\npixels = [400, 300]\noverlap = [0.1, 0.0]\n";
         Wall::from_toml("ours", text).expect("a wall")
     }
 
-    /// What a camera would see that shows the pixels themselves.
-    fn photo(wall: &Wall, plan: &Plan, pattern: u32) -> Photo {
+    /// What a camera would see that shows the pixels themselves, from the left up to a column.
+    fn seen(wall: &Wall, plan: &Plan, pattern: u32, n_columns: usize) -> Photo {
         let part = wall.whole_output();
-        let values = plan.draw(pattern, wall, part).into_iter().map(|[grey, ..]| f32::from(grey) / 255.0).collect();
-        let photograph = Photograph { size: [part.width as usize, part.height as usize], values };
+        let pixels = plan.draw(pattern, wall, part).into_iter().enumerate();
+        let grey = |(index, [grey, ..]): (usize, [u8; 3])| {
+            if index % part.width as usize >= n_columns { 0.0 } else { f32::from(grey) / 255.0 }
+        };
+        let photograph =
+            Photograph { size: [part.width as usize, part.height as usize], values: pixels.map(grey).collect() };
         let reading = Reading::new(format!("{pattern}.png"), &photograph, &Codebook::new(plan));
         Photo { reading, orientation: Orientation::NoTransforms }
+    }
+
+    fn photo(wall: &Wall, plan: &Plan, pattern: u32) -> Photo {
+        seen(wall, plan, pattern, usize::MAX)
     }
 
     fn check(accepts: bool, steps: impl FnOnce(&mut Session<'_>, &dyn Fn(u32) -> Photo)) {
@@ -284,19 +292,39 @@ mod tests {
 
     #[test]
     fn faults_are_shown_and_cannot_be_accepted() {
-        check(false, |session, photo| {
-            let _ = session.on_photo(photo(0));
+        check(false, |session, _| {
+            // The right projector is off.
+            let _ = session.on_photo(seen(session.wall, session.plan, 0, 400));
             let progress = session.on_wish(Wish::Progress);
             assert!(is_picture(&progress) && progress != session.on_wish(Wish::Progress));
-            // One projector was shown as a whole, and the other in part.
             assert!(is_picture(&session.on_wish(Wish::Accept)));
-            let has_faults = session.take_news().is_some_and(|verdict| !verdict.faults.is_empty());
-            if has_faults {
-                assert_eq!(session.on_wish(Wish::Accept), ControlFlow::Continue(None));
-            }
+            assert!(session.take_news().is_some_and(|verdict| !verdict.faults.is_empty()));
+            assert_eq!(session.on_wish(Wish::Accept), ControlFlow::Continue(None));
             assert_eq!(session.on_wish(Wish::Discard), ControlFlow::Break(()));
             assert!(!session.is_accepted);
         });
+    }
+
+    #[test]
+    fn after_a_bump_the_pattern_that_shows_all_of_what_moved_comes_next() {
+        let text = "canvas_m = [2.0, 1.5]\n[grid]\ncolumns = 2\nrows = 2\npixels = [300, 300]\noverlap = [0.1, 0.1]\n";
+        let wall = Wall::from_toml("ours", text).expect("a wall");
+        let plan = Plan::of_wall(&wall).expect("patterns");
+        let last = plan.whole_in(3);
+        assert!(last > 1);
+        // The fourth projector has moved, and only its own pattern tells enough.
+        let judge: Judge<'_> = Box::new(|photos| {
+            let is_told = photos.iter().any(|photo| photo.reading.patterns().contains(&last));
+            let mut projectors = vec![Finding { moved_px: Some(0.0), ..Finding::default() }; 4];
+            projectors[3] = Finding { moved_px: Some(5.0), has_fault: !is_told, ..Finding::default() };
+            let faults = if is_told { Vec::new() } else { vec!["too little".to_owned()] };
+            Ok(Verdict { wall: Some(wall.clone()), found: Vec::new(), faults, projectors })
+        });
+        let rules =
+            Rules { n_patterns: plan.n_patterns(), watches: true, accepts: false, forces: false, is_again: true };
+        let mut session = Session::new(&wall, &plan, rules, judge);
+        assert_eq!(session.on_photo(photo(&wall, &plan, 0)), ControlFlow::Continue(Some(Page::Pattern(last))));
+        assert!(is_picture(&session.on_photo(photo(&wall, &plan, last))) && session.asks());
     }
 
     #[test]
