@@ -217,7 +217,7 @@ fn px_from_plane(projector: &Projector) -> Option<DMat3> {
     let px_from_raster = DMat3::from_scale(projector.output.size());
     let map =
         px_from_raster * projector.raster_from_image()? * canvas_from_rect.inverse() * plane_from_canvas().inverse();
-    Some(with_unit_depth(map)).filter(|map| map.is_finite())
+    Some(with_unit_depth(map)).filter(DMat3::is_finite)
 }
 
 #[cfg(test)]
