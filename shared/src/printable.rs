@@ -49,7 +49,8 @@ pub fn significant(value: f64, n_digits: usize) -> String {
     if magnitude != 0.0 && (magnitude < 1e-3 || is_long) {
         return format!("{value:.*e}", n_digits - 1);
     }
-    format!("{value:.*}", n_digits.saturating_sub(n_whole(value)))
+    let n_zeros = if magnitude > 0.0 && magnitude < 1.0 { -magnitude.log10().floor() as usize } else { 0 };
+    format!("{value:.*}", n_digits.saturating_sub(n_whole(value)) + n_zeros)
 }
 
 /// Digits before the decimal point.

@@ -92,7 +92,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
     };
 
     println!("{:.1} % of the pixels show the model", 100.0 * n_seen / reference.len() as f64);
-    println!("uniform: samples, error shown, error of linear light, s of CPU time, least parts shown and of linear light");
+    println!(
+        "uniform: samples, error shown, error of linear light, s of CPU time, least parts shown and of linear light"
+    );
     let mut uniform = Vec::new();
     for &count in &args.uniform {
         let picture = render(SampleRange::all(0, count));

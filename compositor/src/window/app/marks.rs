@@ -201,7 +201,7 @@ impl App<'_> {
     }
 
     /// The parts of the canvas that panels covered in the last picture.
-    fn covered_canvas(&self) -> Vec<Rect> {
+    pub(super) fn covered_canvas(&self) -> Vec<Rect> {
         let on_canvas = |point| {
             let point = self.wall.wall.canvas_at(self.outputs.overlay_on_wall(point));
             egui::pos2(point.x as f32, (1.0 - point.y) as f32)
