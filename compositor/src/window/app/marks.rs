@@ -472,6 +472,7 @@ fn write(FileToWrite { file, before, text }: &FileToWrite) -> Result<Effect, Str
     let copy = sidecar::write_beside(file, before.as_deref(), text)
         .map_err(|error| format!("marks are kept until the wall ends, but {error}"))?;
     Ok(copy.map_or_else(Effect::default, |copy| {
-        Effect::note(format!("Somebody else has changed {}: it is kept as {}", file.display(), copy.display()))
+        let (file, copy) = (file.display(), copy.display());
+        Effect::problem(format!("somebody else has changed {file}: that version is kept as {copy}"))
     }))
 }
