@@ -62,7 +62,7 @@ mitsuba:
 # Fuzzes every decoder with FUZZ_RUNS inputs each (a fiftieth for the slow one, records). Findings go to target/fuzz-found,
 # new inputs worth keeping to target/fuzz-corpus. RUSTC_BOOTSTRAP allows sanitizers on a stable compiler.
 FUZZ_RUNS ?= 2500000
-FUZZ_TARGETS ?= camera gltf marks mpcdi obj placement ply protocol records remote show sky stl wall
+FUZZ_TARGETS ?= $(basename $(notdir $(wildcard tests/fuzz/fuzz_targets/*.rs)))
 CARGO_FUZZ = RUSTC_BOOTSTRAP=1 $(CARGO) fuzz run --fuzz-dir tests/fuzz --target-dir target/fuzz
 fuzz: setup-test
 	@$(CARGO) fuzz --version >/dev/null 2>&1 || $(CARGO) install cargo-fuzz --locked

@@ -34,7 +34,7 @@ use tokio::{
     sync::{mpsc, oneshot},
 };
 
-use self::{access::Access, certificate::Certificate, hub::Hub, state::WallState, tokens::Token};
+use self::{access::Access, certificate::CertificateFile, hub::Hub, state::WallState, tokens::Token};
 pub(crate) use self::{
     hub::{Order, Shown},
     picture::Thumbnail,
@@ -65,8 +65,7 @@ pub(crate) struct Remote {
     orders: mpsc::Receiver<Order>,
     hub: Arc<Hub>,
     link: String,
-    /// The fingerprint of a certificate that a wall made.
-    own_seal: Option<String>,
+    certificate: Option<Arc<CertificateFile>>,
     /// Its end ends the thread.
     _running: oneshot::Sender<()>,
 }
@@ -79,8 +78,9 @@ impl Remote {
     pub(crate) fn start(options: &RemoteOptions, wake: impl Fn() + Send + Sync + 'static) -> anyhow::Result<Self> {
         let RemoteOptions { address, tokens, certificate, name, host_name, own_address } = options;
         if let Some(path) = tokens {
-            tokens::Tokens::read(path)
-                .with_context(|| format!("no tokens: `compositor remote-token {} NAME` makes one", path.display()))?;
+            tokens::Tokens::read(path).with_context(|| {
+                format!("--remote-tokens: `compositor remote-token {} NAME` makes a file", path.display())
+            })?;
         }
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
@@ -97,9 +97,9 @@ impl Remote {
             [host_name.clone(), format!("{host_name}.local"), named].into_iter().chain(name.clone()).collect();
         let certificate = certificate.as_ref().map(|path| {
             let addresses = [Some(local.ip()), *own_address].into_iter().flatten().map(|ip| ip.to_string());
-            Certificate::read_or_make(path, &names.iter().cloned().chain(addresses).collect::<Vec<_>>())
+            CertificateFile::read_or_make(path, &names.iter().cloned().chain(addresses).collect::<Vec<_>>())
         });
-        let certificate = certificate.transpose()?;
+        let certificate = certificate.transpose()?.map(Arc::new);
         let place =
             place(&reachable(local, *own_address, host_name), name.as_deref(), local.port(), certificate.is_some());
         let link = own_token.map_or(place.clone(), |token| format!("{place}#{}", token.text()));
@@ -108,27 +108,22 @@ impl Remote {
         let hub = Arc::new(Hub::new(access, sender, Box::new(wake)));
         let (running, ended) = oneshot::channel();
         let served = Arc::clone(&hub);
-        let (acceptor, seal, is_own) = match certificate {
-            Some(Certificate { acceptor, fingerprint, is_own }) => (Some(acceptor), Some(fingerprint), is_own),
-            None => (None, None, false),
-        };
-        let own_seal = seal.clone().filter(|_| is_own);
+        let seal = certificate.as_ref().map(|file| file.present().fingerprint);
+        let served_certificate = certificate.clone();
         let serve = move || {
             runtime.block_on(async {
                 tokio::select! {
-                    () = server::serve(listener, served, acceptor) => {}
+                    () = server::serve(listener, served, served_certificate) => {}
                     _ = ended => {}
                 }
             });
             runtime.shutdown_background();
         };
         thread::Builder::new().name("remote".to_owned()).spawn(serve).context("cannot start the remote's thread")?;
-        let place = seal.map_or_else(
-            || format!("http://{local}/"),
-            |seal| format!("https://{local}/, with the certificate of SHA-256 {seal}"),
-        );
-        renderer::cli::say(format_args!("remote at {place}"))?;
-        Ok(Self { orders, hub, link, own_seal, _running: running })
+        let place = self::place(&reachable(local, *own_address, host_name), None, local.port(), seal.is_some());
+        let seal = seal.map(|seal| format!(", with the certificate of SHA-256 {seal}")).unwrap_or_default();
+        renderer::cli::say(format_args!("remote at {place}{seal}"))?;
+        Ok(Self { orders, hub, link, certificate, _running: running })
     }
 
     /// The link that opens the remote, with the wall's own token of visitors if one is needed.
@@ -137,8 +132,9 @@ impl Remote {
     }
 
     /// The SHA-256 of the certificate, if a wall made it.
-    pub(crate) fn own_seal(&self) -> Option<&str> {
-        self.own_seal.as_deref()
+    pub(crate) fn own_seal(&self) -> Option<String> {
+        let certificate = self.certificate.as_ref()?.present();
+        certificate.is_own.then_some(certificate.fingerprint)
     }
 
     /// The next order, if there is one.

@@ -49,7 +49,8 @@ pub fn significant(value: f64, n_digits: usize) -> String {
     if magnitude != 0.0 && (magnitude < 1e-3 || is_long) {
         return format!("{value:.*e}", n_digits - 1);
     }
-    format!("{value:.*}", n_digits.saturating_sub(n_whole(value)))
+    let n_zeros = if magnitude > 0.0 && magnitude < 1.0 { -magnitude.log10().floor() as usize } else { 0 };
+    format!("{value:.*}", n_digits.saturating_sub(n_whole(value)) + n_zeros)
 }
 
 /// Digits before the decimal point.
@@ -103,7 +104,7 @@ mod tests {
     #[test]
     fn lengths_have_five_digits_in_any_unit() {
         let lengths = [0.0, 1.0, -0.123_456, 12.345_67, 99_999.4, 123_456.0, 1.5e-7, 2e9];
-        let expected = ["0.0000", "1.0000", "-0.1235", "12.346", "99999", "123456", "1.5000e-7", "2.0000e9"];
+        let expected = ["0.0000", "1.0000", "-0.12346", "12.346", "99999", "123456", "1.5000e-7", "2.0000e9"];
         assert_eq!(lengths.map(|length| significant(length, 5)), expected);
     }
 

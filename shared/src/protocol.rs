@@ -34,8 +34,8 @@ use crate::{
     structure::Structure,
 };
 
-/// The version of all messages; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 17;
+/// The version of all messages, and of the bits of a frame: a change to either changes it.
+pub const PROTOCOL_VERSION: u8 = 18;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];

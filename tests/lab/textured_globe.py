@@ -3,9 +3,8 @@
     target/mitsuba/bin/python tests/lab/textured_globe.py globe
 
 This writes globe.glb, globe.ply and globe.png. The PLY file holds the same triangles and texture coordinates; Mitsuba reads no
-GLB. Hills make light bounce from one place of the texture to others. Two choices keep Raywall's bounds on textures out of the
-comparison: its patches are large, because a path that has been scattered sees it blurred over a tenth of a radian; and it has
-only the colours that ten bits for the square root of light keep best.
+GLB. Hills make light bounce from one place of the texture to others. Its patches are large, because a path that has been
+scattered sees the texture blurred over a tenth of a radian.
 """
 
 import json
@@ -44,19 +43,7 @@ def texture():
     v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
     fade = np.sin(np.pi * v) ** 2
     waves = np.stack([np.sin(2 * np.pi * (n * u + m * v)) for n, m in ((1, 0.5), (1, -1), (2, 0.5))], axis=-1)
-    wanted = 150 + 100 * fade[..., None] * waves
-    values = exact_values()
-    above = np.searchsorted(values, wanted).clip(1, len(values) - 1)
-    is_below = wanted - values[above - 1] < values[above] - wanted
-    return values[above - is_below].astype(np.uint8)
-
-
-def exact_values():
-    """The bytes of sRGB whose light Raywall keeps to 0.005 %: texels are square roots of light in steps of a 1023rd."""
-    value = np.arange(40, 256) / 255
-    light = ((value + 0.055) / 1.055) ** 2.4
-    kept = (np.rint(1023 * np.sqrt(light)) / 1023) ** 2
-    return 40 + np.flatnonzero(np.abs(kept / light - 1) < 5e-5)
+    return np.rint(150 + 100 * fade[..., None] * waves).astype(np.uint8)
 
 
 def png(pixels):

@@ -198,4 +198,13 @@ fn a_wall_shows_its_own_model_until_a_scene_of_its_show_is_there() {
     generate_statue(300, &wall.folder.path().join("late.ply"));
     let shown = wait_for(&wall, "the scene", |state| state["show"]["scene"] == 1);
     assert_eq!((&shown["show"]["model"], &shown["show"]["caption"]), (&json!("late.ply"), &json!("Here at last")));
+    wall.act(&json!({ "do": "edit-scene", "scene": 1, "caption": "Edited" }));
+    wait_for(&wall, "the new caption", |state| state["show"]["caption"] == "Edited");
+    // What somebody has written into the file meanwhile counts, and is not lost.
+    let by_hand = tour.replace("Here at last", "By hand");
+    fs::write(wall.folder.path().join("tour.toml"), &by_hand).unwrap();
+    wall.act(&json!({ "do": "delete-scene", "scene": 1 }));
+    let read = wait_for(&wall, "the caption of the file", |state| state["show"]["caption"] == "By hand");
+    assert_eq!((&read["show"]["n_scenes"], &read["farm"]["alerts"]), (&json!(1), &json!([])));
+    assert_eq!(fs::read_to_string(wall.folder.path().join("tour.toml")).unwrap(), by_hand);
 }

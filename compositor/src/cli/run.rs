@@ -75,8 +75,10 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
 
 /// The show of a file, with the file's path.
 fn read_show(file: &Path) -> anyhow::Result<(PathBuf, Show)> {
-    let show = show::read(file).map_err(anyhow::Error::msg)?;
-    Ok((std::path::absolute(file).unwrap_or_else(|_| file.to_owned()), show))
+    // Scenes name their files beside it, wherever the wall was started.
+    let file = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
+    let show = show::read(&file).map_err(anyhow::Error::msg)?;
+    Ok((file, show))
 }
 
 fn run_window(args: &WallArgs, inputs: Inputs, supervisor: Option<SupervisorLink>) -> anyhow::Result<()> {

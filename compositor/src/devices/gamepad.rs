@@ -2,7 +2,7 @@
 
 use std::{collections::HashMap, thread};
 
-use gilrs::{Axis, Button, Event, EventType, Gilrs};
+use gilrs::{Axis, Button, Event, EventType, GilrsBuilder};
 use glam::{DVec2, DVec3};
 use shared::printable::printable_line;
 
@@ -33,7 +33,8 @@ pub(super) fn start(link: Link) -> std::io::Result<()> {
 }
 
 fn follow(link: &Link) {
-    let mut gamepads = match Gilrs::new() {
+    // Force feedback has a thread that wakes twenty times a second.
+    let mut gamepads = match GilrsBuilder::new().with_force_feedback(false).build() {
         Ok(gamepads) => gamepads,
         Err(error) => return tracing::debug!("no gamepads: {error}"),
     };

@@ -49,7 +49,7 @@ impl<K: Eq + Hash> LogLimit<K> {
     }
 
     /// Lets one line of a kind pass each ten minutes.
-    pub(super) fn of_strangers() -> Self {
+    pub(crate) fn of_strangers() -> Self {
         Self::new((1, STRANGER_INTERVAL), RateLimit::new(MOST_STRANGER_LINES_AT_ONCE, LINE_INTERVAL))
     }
 

@@ -348,7 +348,7 @@ fn the_model_its_views_and_the_clicked_point_are_shown() {
     let pick = Pick { triangle: Some(123_456), point: DVec3::new(0.25, -1.5, 30.0), normal: DVec3::Y, distance: 2.5 };
     let model = OverlayModel { views: vec![1, 4], pick: Some(pick), is_playing: true, ..running() };
     let commands = commands_of(&model, |harness| {
-        harness.get_by_label("Triangle 123 456 at (0.2500, -1.5000, 30.0000), 2.5000 from the eye");
+        harness.get_by_label("Triangle 123 456 at (0.25000, -1.5000, 30.0000), 2.5000 from the eye");
         harness.get_by_label("1.0000 × 1.9000 × 1.0000 in its own unit");
         harness.get_by_label("39 MB in memory, 39 bytes a triangle");
         harness.get_by_label("Grid: masks, 64 cells a triangle");

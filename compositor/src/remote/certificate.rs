@@ -1,19 +1,28 @@
 //! The certificate by which remotes know the wall, and that encrypts what they say; the wall makes one if it has none.
 
-use std::{fmt::Write, io, net::IpAddr, path::Path, sync::Arc, time::SystemTime};
+use std::{
+    fmt::Write,
+    io,
+    net::IpAddr,
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::{Duration, SystemTime},
+};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use channel::files;
 use rcgen::{CertificateParams, DistinguishedName, DnType, KeyPair};
+use renderer::formats::sources::Stamp;
 use sha2::{Digest, Sha256};
 use tokio_rustls::{
     TlsAcceptor,
     rustls::{
         ServerConfig,
         crypto::ring,
-        pki_types::{CertificateDer, PrivateKeyDer, pem::PemObject},
+        pki_types::{CertificateDer, PrivateKeyDer, UnixTime, pem::PemObject},
     },
 };
+use webpki::{EndEntityCert, KeyUsage, anchor_from_trusted_cert};
 
 /// A chain of certificates and a key are shorter.
 const LONGEST_FILE: u64 = 1 << 20;
@@ -21,24 +30,101 @@ const LONGEST_FILE: u64 = 1 << 20;
 const OWN: &str = "# Made by a wall: nobody else vouches for it.";
 /// Apple's devices trust no certificate for longer than 825 days.
 const DAYS: u64 = 820;
+/// A wall makes its own certificate anew if it ends within this time.
+const DAYS_BEFORE_THE_END: u64 = 30;
+const DAY: Duration = Duration::from_secs(86_400);
+
+/// A certificate's file, which is read again when it has changed, as by a program that renews certificates.
+#[derive(Debug)]
+pub(super) struct CertificateFile {
+    path: PathBuf,
+    read: Mutex<Read>,
+}
+
+/// What was read.
+#[derive(Debug)]
+struct Read {
+    /// The file's, while it would tell of any change since.
+    stamp: Option<Stamp>,
+    certificate: Certificate,
+}
 
 /// A certificate, ready to accept connections.
+#[derive(Clone)]
 pub(super) struct Certificate {
     pub(super) acceptor: TlsAcceptor,
     /// SHA-256 of the wall's own certificate, as browsers show it.
     pub(super) fingerprint: String,
     /// Whether a wall made it, so that browsers warn.
     pub(super) is_own: bool,
+    chain: Vec<CertificateDer<'static>>,
 }
 
-impl Certificate {
+impl std::fmt::Debug for Certificate {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Certificate").field("fingerprint", &self.fingerprint).finish_non_exhaustive()
+    }
+}
+
+impl CertificateFile {
     /// Reads a file with a chain of certificates, the wall's own first, and its private key, all as PEM; without such a file,
-    /// makes one for these names, and keeps it.
+    /// makes one for these names, and keeps it. One that a wall made is made anew before it ends.
     ///
     /// # Errors
     /// The file cannot be read, written or used.
     pub(super) fn read_or_make(path: &Path, names: &[String]) -> anyhow::Result<Self> {
-        if !path.try_exists().with_context(|| format!("{} cannot be read", path.display()))? {
+        let certificate = Certificate::read_or_make(path, names)?;
+        Ok(Self { path: path.to_owned(), read: Mutex::new(Read { stamp: None, certificate }) })
+    }
+
+    /// The certificate for a new connection. If the file has changed and cannot be used, it is the one of before.
+    pub(super) fn renewed(&self) -> Certificate {
+        let mut read = self.read();
+        let (stamp, now) = (Stamp::at(&self.path), SystemTime::now());
+        if read.stamp.is_none() || read.stamp != stamp {
+            match Certificate::read(&self.path) {
+                Ok(certificate) => {
+                    if certificate.fingerprint != read.certificate.fingerprint {
+                        tracing::info!(
+                            "{} has a new certificate, of SHA-256 {}",
+                            self.path.display(),
+                            certificate.fingerprint
+                        );
+                    }
+                    read.certificate = certificate;
+                }
+                Err(error) => tracing::error!("the remote keeps its old certificate: {error:#}"),
+            }
+            read.stamp = stamp.filter(|stamp| stamp.is_settled(now));
+        }
+        read.certificate.clone()
+    }
+
+    /// The certificate that was read last.
+    pub(super) fn present(&self) -> Certificate {
+        self.read().certificate.clone()
+    }
+
+    fn read(&self) -> MutexGuard<'_, Read> {
+        self.read.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Certificate {
+    fn read_or_make(path: &Path, names: &[String]) -> anyhow::Result<Self> {
+        if path.try_exists().with_context(|| format!("{} cannot be read", path.display()))? {
+            let read = Self::read(path)?;
+            if !read.is_own || read.has_long_to_go() {
+                return Ok(read);
+            }
+            let made = make(names).context("cannot make a certificate")?;
+            files::write(path, |out| io::Write::write_all(out, made.as_bytes()))
+                .with_context(|| format!("cannot write a new certificate to {}", path.display()))?;
+            tracing::info!(
+                "the certificate of {} was at its end: it has a new one, of which browsers warn again",
+                path.display()
+            );
+        } else {
             let made = make(names).context("cannot make a certificate")?;
             match files::write_new_private(path, made.as_bytes()) {
                 // Another wall was faster, and its certificate is read.
@@ -50,28 +136,44 @@ impl Certificate {
                 path.display()
             );
         }
+        Self::read(path)
+    }
+
+    fn read(path: &Path) -> anyhow::Result<Self> {
         let text =
             files::read_text(path, LONGEST_FILE).with_context(|| format!("{} cannot be read", path.display()))?;
-        Self::parse(text.as_bytes()).with_context(|| {
+        let read = Self::parse(text.as_bytes()).with_context(|| {
             format!(
                 "{} is no certificate that can be used: it has a chain of certificates, the wall's own first, and its private \
                  key, all as PEM; without the file, the wall makes one",
                 path.display()
             )
-        })
+        })?;
+        if let Some(problem) = time_problem(&read.chain, SystemTime::now()) {
+            tracing::warn!(
+                "{}: {problem}, so browsers refuse it: renew it, and the wall takes it without a restart",
+                path.display()
+            );
+        }
+        Ok(read)
+    }
+
+    fn has_long_to_go(&self) -> bool {
+        time_problem(&self.chain, SystemTime::now() + DAY * DAYS_BEFORE_THE_END as u32).is_none()
     }
 
     fn parse(pem: &[u8]) -> anyhow::Result<Self> {
-        let chain: Vec<_> = CertificateDer::pem_slice_iter(pem).collect::<Result<_, _>>().context("damaged")?;
+        let chain: Vec<_> =
+            CertificateDer::pem_slice_iter(pem).collect::<Result<_, _>>().map_err(|_| anyhow!("it is damaged"))?;
         let Some(own) = chain.first() else { bail!("it has no certificate") };
         let fingerprint = fingerprint(own);
-        let key = PrivateKeyDer::from_pem_slice(pem).context("it has no private key")?;
+        let key = PrivateKeyDer::from_pem_slice(pem).map_err(|_| anyhow!("it has no private key that is whole"))?;
         let config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()))
             .with_safe_default_protocol_versions()?
             .with_no_client_auth()
-            .with_single_cert(chain, key)?;
+            .with_single_cert(chain.clone(), key)?;
         let is_own = pem.starts_with(OWN.as_bytes());
-        Ok(Self { acceptor: TlsAcceptor::from(Arc::new(config)), fingerprint, is_own })
+        Ok(Self { acceptor: TlsAcceptor::from(Arc::new(config)), fingerprint, is_own, chain })
     }
 }
 
@@ -86,11 +188,33 @@ fn make(names: &[String]) -> anyhow::Result<String> {
     params.distinguished_name.push(DnType::CommonName, "Raywall");
     let now = SystemTime::now();
     // Clocks of phones may be somewhat behind.
-    params.not_before = (now - std::time::Duration::from_secs(86_400)).into();
-    params.not_after = (now + std::time::Duration::from_secs(DAYS * 86_400)).into();
+    params.not_before = (now - DAY).into();
+    params.not_after = (now + DAY * DAYS as u32).into();
     let key = KeyPair::generate()?;
     let certificate = params.self_signed(&key)?;
     Ok(format!("{OWN}\n{}{}", certificate.pem(), key.serialize_pem()))
+}
+
+/// The reason why the first certificate of a chain cannot be used at a time, if that is the time's fault.
+fn time_problem(chain: &[CertificateDer<'_>], now: SystemTime) -> Option<&'static str> {
+    let own = EndEntityCert::try_from(chain.first()?).ok()?;
+    let anchors = [anchor_from_trusted_cert(chain.last()?).ok()?];
+    let now = UnixTime::since_unix_epoch(now.duration_since(SystemTime::UNIX_EPOCH).ok()?);
+    let verified = own.verify_for_usage(
+        webpki::ALL_VERIFICATION_ALGS,
+        &anchors,
+        chain.get(1..).unwrap_or_default(),
+        now,
+        KeyUsage::server_auth(),
+        None,
+        None,
+    );
+    match verified.err()? {
+        webpki::Error::CertExpired { .. } => Some("the certificate has expired"),
+        webpki::Error::CertNotValidYet { .. } => Some("the certificate is not valid yet"),
+        // Browsers judge the rest.
+        _ => None,
+    }
 }
 
 fn is_host_name(name: &str) -> bool {
@@ -154,5 +278,61 @@ mod tests {
         fs::create_dir(&path).unwrap();
         assert!(Certificate::read_or_make(&path, &[]).is_err());
         assert!(Certificate::read_or_make(&folder.path().join("no/wall.pem"), &[]).is_err());
+    }
+
+    /// A certificate that begins and ends so many days from now.
+    fn of_days(from: i64, to: i64) -> String {
+        let mut params = CertificateParams::new(vec!["wall".to_owned()]).unwrap();
+        let at = |days: i64| match u32::try_from(days) {
+            Ok(days) => SystemTime::now() + DAY * days,
+            Err(_) => SystemTime::now() - DAY * days.unsigned_abs() as u32,
+        };
+        (params.not_before, params.not_after) = (at(from).into(), at(to).into());
+        let key = KeyPair::generate().unwrap();
+        format!("{}{}", params.self_signed(&key).unwrap().pem(), key.serialize_pem())
+    }
+
+    #[test]
+    fn a_certificate_that_ends_is_told_of_and_the_walls_own_is_made_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("wall.pem");
+        let problem = |from, to| {
+            fs::write(&path, of_days(from, to)).unwrap();
+            let before = Certificate::read_or_make(&path, &[]).unwrap();
+            assert_eq!(
+                Certificate::read_or_make(&path, &[]).unwrap().fingerprint,
+                before.fingerprint,
+                "it is another's"
+            );
+            time_problem(&before.chain, SystemTime::now())
+        };
+        assert_eq!(problem(-1, 5), None);
+        assert_eq!(problem(-9, -1), Some("the certificate has expired"));
+        assert_eq!(problem(5, 9), Some("the certificate is not valid yet"));
+        for (days, is_kept) in [(DAYS_BEFORE_THE_END as i64 + 1, true), (DAYS_BEFORE_THE_END as i64 - 1, false)] {
+            fs::write(&path, format!("{OWN}\n{}", of_days(-1, days))).unwrap();
+            let before = Certificate::read(&path).unwrap().fingerprint;
+            let now = Certificate::read_or_make(&path, &[]).unwrap();
+            assert_eq!((now.fingerprint == before, now.is_own), (is_kept, true));
+        }
+    }
+
+    #[test]
+    fn a_renewed_certificate_is_taken_and_a_broken_one_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("wall.pem");
+        let file = CertificateFile::read_or_make(&path, &[]).unwrap();
+        let first = file.renewed().fingerprint;
+        assert_eq!(file.renewed().fingerprint, first);
+        fs::write(&path, of_days(-1, 5)).unwrap();
+        let second = file.renewed();
+        assert!(second.fingerprint != first && !second.is_own);
+        for broken in ["", "hello"] {
+            fs::write(&path, broken).unwrap();
+            assert_eq!(file.renewed().fingerprint, second.fingerprint);
+        }
+        fs::remove_file(&path).unwrap();
+        assert_eq!(file.renewed().fingerprint, second.fingerprint);
+        assert_eq!(file.present().fingerprint, second.fingerprint);
     }
 }

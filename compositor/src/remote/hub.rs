@@ -1,6 +1,8 @@
 //! Lies between the connections of remotes and the wall: orders go in, state and pictures come out.
 
 use std::{
+    collections::HashMap,
+    net::IpAddr,
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
         atomic::{
@@ -22,8 +24,9 @@ use super::{
     picture::Thumbnail,
     state::WallState,
     tokens::Role,
-    turns::{ClientId, Place, Turns},
+    turns::{Client, Place, Turns, network},
 };
+use crate::farm::LogLimit;
 
 /// States are told at most so often: a motion has many.
 const STATE_INTERVAL: Duration = Duration::from_millis(50);
@@ -89,9 +92,12 @@ pub(super) struct Hub {
     /// Changes with every change of turns.
     turned: watch::Sender<()>,
     n_watching: AtomicUsize,
-    n_remotes: AtomicUsize,
+    /// Connected remotes by their network.
+    remotes: Mutex<HashMap<IpAddr, usize>>,
     n_actions: AtomicU64,
     last_client: AtomicU64,
+    strangers: Mutex<LogLimit<IpAddr>>,
+    started_at: Instant,
 }
 
 impl std::fmt::Debug for Hub {
@@ -114,9 +120,11 @@ impl Hub {
             turns: Mutex::default(),
             turned: watch::Sender::default(),
             n_watching: AtomicUsize::new(0),
-            n_remotes: AtomicUsize::new(0),
+            remotes: Mutex::default(),
             n_actions: AtomicU64::new(0),
             last_client: AtomicU64::new(0),
+            strangers: Mutex::new(LogLimit::of_strangers()),
+            started_at: Instant::now(),
         }
     }
 
@@ -158,7 +166,7 @@ impl Hub {
     pub(super) fn act(
         &self,
         role: Role,
-        client: ClientId,
+        client: Client,
         message: Message,
         to: Option<&mpsc::Sender<u32>>,
     ) -> Result<(), &'static str> {
@@ -173,17 +181,17 @@ impl Hub {
         self.order(Order::Act(action, tag.zip(to).map(|(tag, to)| Shown { tag, to: to.clone() })))
     }
 
-    fn has_turn(&self, client: ClientId) -> bool {
+    fn has_turn(&self, client: Client) -> bool {
         let now = Instant::now();
         self.change_turns(|turns| turns.steers(client, now))
     }
 
-    pub(super) fn leave(&self, client: ClientId) {
+    pub(super) fn leave(&self, client: Client) {
         let now = Instant::now();
         self.change_turns(|turns| turns.leaves(client, now));
     }
 
-    pub(super) fn place(&self, client: ClientId) -> Place {
+    pub(super) fn place(&self, client: Client) -> Place {
         self.turns().place(client, Instant::now())
     }
 
@@ -204,8 +212,17 @@ impl Hub {
         self.turns.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn new_client(&self) -> ClientId {
-        self.last_client.fetch_add(1, Relaxed)
+    pub(super) fn new_client(&self, network: IpAddr) -> Client {
+        Client { number: self.last_client.fetch_add(1, Relaxed), network }
+    }
+
+    /// Tells the log of somebody without a token, now and then.
+    pub(super) fn on_stranger(&self, address: IpAddr) {
+        let mut limit = self.strangers.lock().unwrap_or_else(PoisonError::into_inner);
+        let pass = limit.admit(self.started_at.elapsed(), network(address));
+        if let Some(more) = pass {
+            tracing::warn!("somebody at {address} asks for the remote without a token that the wall knows{more}");
+        }
     }
 
     pub(super) fn told(&self) -> watch::Receiver<Told> {
@@ -220,16 +237,32 @@ impl Hub {
         self.jpeg.subscribe()
     }
 
-    pub(super) fn watching(self: &Arc<Self>) -> Counted {
-        Counted::new(self, |hub| &hub.n_watching)
+    pub(super) fn watching(self: &Arc<Self>) -> Watching {
+        self.n_watching.fetch_add(1, Relaxed);
+        Watching(Arc::clone(self))
     }
 
-    pub(super) fn remote(self: &Arc<Self>) -> Counted {
-        Counted::new(self, |hub| &hub.n_remotes)
+    /// Counts one more remote of a network, if `may_come` allows that to so many remotes: all, and those of the network.
+    pub(super) fn remote(
+        self: &Arc<Self>,
+        network: IpAddr,
+        may_come: impl FnOnce(usize, usize) -> bool,
+    ) -> Option<Connected> {
+        let mut remotes = self.remotes();
+        let of_network = remotes.get(&network).copied().unwrap_or_default();
+        if !may_come(remotes.values().sum(), of_network) {
+            return None;
+        }
+        remotes.insert(network, of_network + 1);
+        Some(Connected { hub: Arc::clone(self), network })
     }
 
-    pub(super) fn n_remotes(&self) -> usize {
-        self.n_remotes.load(Relaxed)
+    fn n_remotes(&self) -> usize {
+        self.remotes().values().sum()
+    }
+
+    fn remotes(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
+        self.remotes.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub(super) fn metrics(&self) -> String {
@@ -286,21 +319,28 @@ impl Hub {
     }
 }
 
-/// Counts itself until it is dropped.
-pub(super) struct Counted {
-    hub: Arc<Hub>,
-    count: fn(&Hub) -> &AtomicUsize,
-}
+/// One more looks at live pictures, until this is dropped.
+pub(super) struct Watching(Arc<Hub>);
 
-impl Counted {
-    fn new(hub: &Arc<Hub>, count: fn(&Hub) -> &AtomicUsize) -> Self {
-        count(hub).fetch_add(1, Relaxed);
-        Self { hub: Arc::clone(hub), count }
+impl Drop for Watching {
+    fn drop(&mut self) {
+        self.0.n_watching.fetch_sub(1, Relaxed);
     }
 }
 
-impl Drop for Counted {
+/// A remote is connected, until this is dropped.
+pub(super) struct Connected {
+    hub: Arc<Hub>,
+    pub(super) network: IpAddr,
+}
+
+impl Drop for Connected {
     fn drop(&mut self) {
-        (self.count)(&self.hub).fetch_sub(1, Relaxed);
+        let mut remotes = self.hub.remotes();
+        let left = remotes.get(&self.network).map_or(0, |n| n.saturating_sub(1));
+        match left {
+            0 => remotes.remove(&self.network),
+            _ => remotes.insert(self.network, left),
+        };
     }
 }

@@ -5,7 +5,11 @@ use std::{net::SocketAddr, sync::Arc, time::Duration};
 use axum::{
     Extension, Json, Router,
     body::{Body, Bytes},
-    extract::{DefaultBodyLimit, Request, State, ws::WebSocketUpgrade},
+    extract::{
+        DefaultBodyLimit, Request, State,
+        rejection::BytesRejection,
+        ws::{WebSocketUpgrade, rejection::WebSocketUpgradeRejection},
+    },
     http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header},
     middleware::{self, Next},
     response::{IntoResponse, Response},
@@ -19,6 +23,7 @@ use super::{
     message::{self, LONGEST_MESSAGE},
     socket,
     tokens::Role,
+    turns::network,
 };
 
 /// The name of the WebSocket's protocol; a second one offered beside it is the token.
@@ -128,7 +133,7 @@ async fn authorize(
             next.run(request).await
         }
         None => {
-            tracing::debug!("a stranger asks from {peer}");
+            hub.on_stranger(peer.ip());
             let text = match token {
                 Some(_) => "this token is not known or was revoked: scan the code on the wall, or ask an operator",
                 None => "a token is needed: scan the code on the wall, or ask an operator",
@@ -168,15 +173,24 @@ async fn state(State(hub): State<Arc<Hub>>, Extension(guest): Extension<Guest>) 
     ([(header::CONTENT_TYPE, "application/json")], told.as_str().to_owned()).into_response()
 }
 
-async fn action(State(hub): State<Arc<Hub>>, Extension(guest): Extension<Guest>, body: Bytes) -> Response {
+async fn action(
+    State(hub): State<Arc<Hub>>,
+    Extension(guest): Extension<Guest>,
+    Extension(Peer(peer)): Extension<Peer>,
+    body: Result<Bytes, BytesRejection>,
+) -> Response {
     if guest.role == Role::Visitor {
         return fault(StatusCode::FORBIDDEN, "visitors steer through /api/socket, in turns");
     }
+    let body = match body {
+        Ok(body) => body,
+        Err(rejection) => return fault(rejection.status(), "an action is JSON of a few kilobytes"),
+    };
     let message = match message::decode(&body) {
         Ok(message) => message,
         Err(problem) => return fault(StatusCode::BAD_REQUEST, &problem),
     };
-    match hub.act(guest.role, hub.new_client(), message, None) {
+    match hub.act(guest.role, hub.new_client(network(peer.ip())), message, None) {
         Ok(()) => StatusCode::NO_CONTENT.into_response(),
         Err(problem) => fault(StatusCode::SERVICE_UNAVAILABLE, problem),
     }
@@ -199,9 +213,14 @@ async fn picture(State(hub): State<Arc<Hub>>) -> Response {
 async fn open_socket(
     State(hub): State<Arc<Hub>>,
     Extension(guest): Extension<Guest>,
-    upgrade: WebSocketUpgrade,
+    Extension(Peer(peer)): Extension<Peer>,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
-    let Some(remote) = socket::admit(&hub, guest.role) else {
+    let upgrade = match upgrade {
+        Ok(upgrade) => upgrade,
+        Err(rejection) => return fault(rejection.status(), "this is a WebSocket: ask for an upgrade to one"),
+    };
+    let Some(remote) = socket::admit(&hub, guest.role, network(peer.ip())) else {
         return fault(StatusCode::SERVICE_UNAVAILABLE, "too many remotes are connected");
     };
     upgrade

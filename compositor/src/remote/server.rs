@@ -2,6 +2,7 @@
 
 use std::{collections::VecDeque, net::SocketAddr, sync::Arc, time::Duration};
 
+use super::{certificate::CertificateFile, hub::Hub, routes};
 use axum::Router;
 use hyper::server::conn::http1;
 use hyper_util::{rt::TokioIo, service::TowerToHyperService};
@@ -11,9 +12,6 @@ use tokio::{
     net::{TcpListener, TcpStream},
     task::AbortHandle,
 };
-use tokio_rustls::TlsAcceptor;
-
-use super::{hub::Hub, routes};
 
 /// Connections that have not become conversations; a new one displaces the oldest, so silent ones keep nobody out. Thousands
 /// a second do: that is a firewall's task.
@@ -28,10 +26,10 @@ const KEEP_ALIVE: Duration = Duration::from_secs(30);
 /// How an encrypted connection begins: with a TLS record of a handshake.
 const HANDSHAKE: u8 = 22;
 
-/// Serves remotes until it is dropped, and only encrypted ones if there is an acceptor.
-pub(super) async fn serve(listener: TcpListener, hub: Arc<Hub>, acceptor: Option<TlsAcceptor>) {
-    let door =
-        Door { router: routes::router(Arc::clone(&hub)), plain: routes::encrypted_only(Arc::clone(&hub)), acceptor };
+/// Serves remotes until it is dropped, and only encrypted ones if there is a certificate.
+pub(super) async fn serve(listener: TcpListener, hub: Arc<Hub>, certificate: Option<Arc<CertificateFile>>) {
+    let (router, plain) = (routes::router(Arc::clone(&hub)), routes::encrypted_only(Arc::clone(&hub)));
+    let door = Door { router, plain, certificate };
     tokio::join!(accept(listener, door), hub.tell_states(), hub.encode_pictures(), hub.end_turns());
 }
 
@@ -41,7 +39,7 @@ struct Door {
     router: Router,
     /// For those that are not encrypted but should be.
     plain: Router,
-    acceptor: Option<TlsAcceptor>,
+    certificate: Option<Arc<CertificateFile>>,
 }
 
 async fn accept(listener: TcpListener, door: Door) {
@@ -66,17 +64,17 @@ async fn accept(listener: TcpListener, door: Door) {
     }
 }
 
-async fn receive(stream: TcpStream, peer: SocketAddr, Door { router, plain, acceptor }: Door) {
+async fn receive(stream: TcpStream, peer: SocketAddr, Door { router, plain, certificate }: Door) {
     let socket = SockRef::from(&stream);
     // Without these the conversation works too.
     let _ = socket.set_tcp_nodelay(true);
     let _ = socket.set_tcp_keepalive(&TcpKeepalive::new().with_time(KEEP_ALIVE));
     let conversation = async {
-        let Some(acceptor) = acceptor else { return converse(stream, peer, router).await };
+        let Some(certificate) = certificate else { return converse(stream, peer, router).await };
         let mut first = [0];
         match stream.peek(&mut first).await {
             Ok(1) if first == [HANDSHAKE] => {
-                if let Ok(stream) = acceptor.accept(stream).await {
+                if let Ok(stream) = certificate.renewed().acceptor.accept(stream).await {
                     converse(stream, peer, router).await;
                 }
             }

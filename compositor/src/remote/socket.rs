@@ -1,6 +1,7 @@
 //! A conversation with one remote: its wishes, and the wall's answers.
 
 use std::{
+    net::IpAddr,
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -13,11 +14,11 @@ use serde_json::json;
 use tokio::sync::{mpsc, watch};
 
 use super::{
-    hub::{Counted, Hub, Order, Told},
+    hub::{Connected, Hub, Order, Told, Watching},
     message::{self, Action},
     routes::Guest,
     tokens::Role,
-    turns::{ClientId, Place},
+    turns::{Client, Place},
 };
 use crate::farm::RateLimit;
 
@@ -34,19 +35,18 @@ const PICTURE_INTERVAL: Duration = Duration::from_millis(250);
 /// Answers that wait for a remote.
 const MOST_ANSWERS: usize = 32;
 
-/// A place for one more remote, unless there are too many.
-pub(super) fn admit(hub: &Arc<Hub>, role: Role) -> Option<Counted> {
-    let remote = hub.remote();
-    let most = match role {
-        Role::Visitor => MOST_REMOTES - FOR_OPERATORS,
-        Role::Operator => MOST_REMOTES,
-    };
-    (hub.n_remotes() <= most).then_some(remote)
+/// A place for one more remote of a network, unless there are too many. A network's visitors take at most as many places as
+/// they leave, so one that wants all keeps nobody else out.
+pub(super) fn admit(hub: &Arc<Hub>, role: Role, network: IpAddr) -> Option<Connected> {
+    hub.remote(network, |n_remotes, of_network| match role {
+        Role::Visitor => n_remotes + of_network < MOST_REMOTES - FOR_OPERATORS,
+        Role::Operator => n_remotes < MOST_REMOTES,
+    })
 }
 
 /// Talks until the remote goes away, is too slow, or its token is revoked.
-pub(super) async fn converse(socket: WebSocket, hub: Arc<Hub>, guest: Guest, remote: Counted) {
-    let client = hub.new_client();
+pub(super) async fn converse(socket: WebSocket, hub: Arc<Hub>, guest: Guest, remote: Connected) {
+    let client = hub.new_client(remote.network);
     let (answers, shown) = mpsc::channel(MOST_ANSWERS);
     let mut conversation = Conversation {
         socket,
@@ -78,7 +78,7 @@ struct Conversation {
     socket: WebSocket,
     hub: Arc<Hub>,
     guest: Guest,
-    client: ClientId,
+    client: Client,
     answers: mpsc::Sender<u32>,
     shown: mpsc::Receiver<u32>,
     told: watch::Receiver<Told>,
@@ -87,7 +87,7 @@ struct Conversation {
     /// When the last picture was sent.
     pictured_at: Option<Instant>,
     /// Present while the remote looks at live pictures.
-    watching: Option<Counted>,
+    watching: Option<Watching>,
     /// The place in the order of turns that the remote knows of.
     place: Option<Place>,
     limit: RateLimit,
@@ -209,11 +209,17 @@ mod tests {
     #[test]
     fn visitors_leave_places_to_operators() {
         let hub = Arc::new(Hub::new(Access::new(Vec::new(), None), mpsc::channel(1).0, Box::new(|| {})));
-        let fill = |role| std::iter::from_fn(|| admit(&hub, role)).collect::<Vec<_>>();
-        let mut visitors = fill(Role::Visitor);
-        let operators = fill(Role::Operator);
-        assert_eq!([visitors.len(), operators.len()], [448, 64]);
-        visitors.pop();
-        assert!(admit(&hub, Role::Visitor).is_none() && admit(&hub, Role::Operator).is_some());
+        let fill = |role, network: u8| {
+            let network = [10, 0, 0, network].into();
+            std::iter::from_fn(|| admit(&hub, role, network)).collect::<Vec<_>>()
+        };
+        let mut visitors: Vec<_> = (1..20).map(|network| fill(Role::Visitor, network)).collect();
+        let counts: Vec<_> = visitors.iter().map(Vec::len).collect();
+        assert_eq!(counts[..5], [224, 112, 56, 28, 14], "each leaves as many places as it takes");
+        assert_eq!(counts.iter().sum::<usize>(), 448);
+        let operators = fill(Role::Operator, 1);
+        assert_eq!(operators.len(), 64);
+        visitors[0].pop();
+        assert!(fill(Role::Visitor, 2).is_empty() && fill(Role::Operator, 3).len() == 1);
     }
 }

@@ -1,7 +1,9 @@
-//! Turns of visitors: one steers, for a minute while others wait. Pure: time is an argument.
+//! Turns of visitors: one steers, for a minute while others wait. Nobody gets more turns by more connections: those of one
+//! address take turns with those of others. Pure: time is an argument.
 
 use std::{
     collections::VecDeque,
+    net::IpAddr,
     time::{Duration, Instant},
 };
 
@@ -12,19 +14,33 @@ const NOTICE: Duration = Duration::from_secs(10);
 /// A visitor who has not moved for this long while others wait has left the wall to them.
 const IDLE: Duration = Duration::from_secs(15);
 
-/// The number of a connection; none is used twice.
-pub(super) type ClientId = u64;
+/// A connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Client {
+    /// None is used twice.
+    pub(super) number: u64,
+    /// The peer's, or its network's: see [`network`].
+    pub(super) network: IpAddr,
+}
+
+/// The address that tells peers apart: the half of an IPv6 address that a peer cannot choose.
+pub(super) fn network(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V6(address) => IpAddr::V6((address.to_bits() >> 64 << 64).into()),
+        address => address,
+    }
+}
 
 #[derive(Debug, Default)]
 pub(super) struct Turns {
     present: Option<Present>,
-    waiting: VecDeque<ClientId>,
+    waiting: VecDeque<Client>,
 }
 
 /// The visitor who steers.
 #[derive(Debug)]
 struct Present {
-    client: ClientId,
+    client: Client,
     since: Instant,
     moved_at: Instant,
     /// When another began to wait; `None` while nobody does.
@@ -47,15 +63,15 @@ pub(super) struct Place {
 
 impl Turns {
     /// A visitor wants to steer: whether that is its turn. If not, it waits from now on.
-    pub(super) fn steers(&mut self, client: ClientId, now: Instant) -> bool {
+    pub(super) fn steers(&mut self, client: Client, now: Instant) -> bool {
         self.advance(now);
         match &mut self.present {
             None => self.present = Some(Present { client, since: now, moved_at: now, awaited_since: None }),
             Some(present) if present.client == client => present.moved_at = now,
             Some(present) => {
                 if !self.waiting.contains(&client) {
-                    self.waiting.push_back(client);
                     present.awaited_since.get_or_insert(now);
+                    self.wait(client);
                 }
                 return false;
             }
@@ -64,7 +80,7 @@ impl Turns {
     }
 
     /// A visitor goes away, or gives up its turn.
-    pub(super) fn leaves(&mut self, client: ClientId, now: Instant) {
+    pub(super) fn leaves(&mut self, client: Client, now: Instant) {
         self.waiting.retain(|&waiting| waiting != client);
         if self.waiting.is_empty() {
             self.present.iter_mut().for_each(|present| present.awaited_since = None);
@@ -95,7 +111,7 @@ impl Turns {
         Some((present.since + TURN).max(at_least))
     }
 
-    pub(super) fn place(&self, client: ClientId, now: Instant) -> Place {
+    pub(super) fn place(&self, client: Client, now: Instant) -> Place {
         let position = self.waiting.iter().position(|&waiting| waiting == client);
         let is_present = self.present.as_ref().is_none_or(|present| present.client == client);
         let left = self.ends_at_the_latest().map(|ends_at| ends_at.saturating_duration_since(now));
@@ -105,9 +121,21 @@ impl Turns {
     }
 
     /// The present visitor, whether its turn will end, and those who wait: all that others can see.
-    pub(super) fn order(&self) -> (Option<(ClientId, bool)>, VecDeque<ClientId>) {
+    pub(super) fn order(&self) -> (Option<(Client, bool)>, VecDeque<Client>) {
         let present = self.present.as_ref().map(|present| (present.client, present.awaited_since.is_some()));
         (present, self.waiting.clone())
+    }
+
+    /// Adds one who waits: behind those whose networks have no more turns before them than its own has.
+    fn wait(&mut self, client: Client) {
+        let present = self.present.iter().map(|present| present.client);
+        let all: Vec<_> = present.chain(self.waiting.iter().copied()).collect();
+        let n_before = |end: usize, network| all[..end].iter().filter(|other| other.network == network).count();
+        let own = n_before(all.len(), client.network);
+        let n_present = all.len() - self.waiting.len();
+        let is_later = |&at: &usize| n_before(n_present + at, self.waiting[at].network) > own;
+        let at = (0..self.waiting.len()).find(is_later).unwrap_or(self.waiting.len());
+        self.waiting.insert(at, client);
     }
 
     fn begin_next(&mut self, now: Instant) {
@@ -122,44 +150,76 @@ impl Turns {
 mod tests {
     use super::*;
 
+    /// A connection from a network.
+    fn of(network: u8, number: u64) -> Client {
+        Client { number, network: [10, 0, 0, network].into() }
+    }
+
+    /// One that is alone in its network.
+    fn alone(number: u8) -> Client {
+        of(number, number.into())
+    }
+
     #[test]
     fn a_visitor_alone_steers_as_long_as_it_likes() {
         let (mut turns, start) = (Turns::default(), Instant::now());
-        assert!(turns.steers(1, start) && turns.steers(1, start + 100 * TURN));
+        assert!(turns.steers(alone(1), start) && turns.steers(alone(1), start + 100 * TURN));
         assert_eq!(turns.ends_at(), None);
-        assert!(turns.place(1, start).may_steer && !turns.place(2, start).may_steer);
+        assert!(turns.place(alone(1), start).may_steer && !turns.place(alone(2), start).may_steer);
     }
 
     #[test]
     fn while_others_wait_each_has_a_minute() {
         let (mut turns, start) = (Turns::default(), Instant::now());
         let at = |seconds| start + Duration::from_secs(seconds);
-        assert!(turns.steers(1, start) && !turns.steers(2, at(1)) && !turns.steers(3, at(2)));
-        assert_eq!([2, 3].map(|client| turns.place(client, at(2)).before), [1, 2]);
+        assert!(turns.steers(alone(1), start) && !turns.steers(alone(2), at(1)) && !turns.steers(alone(3), at(2)));
+        assert_eq!([2, 3].map(|client| turns.place(alone(client), at(2)).before), [1, 2]);
         // It must move to keep its turn, and those who wait know the end from the first moment on.
         for second in 3..60 {
-            assert!(turns.steers(1, at(second)), "{second}");
-            assert_eq!(turns.place(2, at(second)).seconds, Some(60 - second));
+            assert!(turns.steers(alone(1), at(second)), "{second}");
+            assert_eq!(turns.place(alone(2), at(second)).seconds, Some(60 - second));
         }
-        assert!(!turns.steers(1, at(60)) && turns.steers(2, at(60)), "the turn is over");
-        assert_eq!(turns.place(1, at(60)), Place { may_steer: false, before: 2, waiting: 2, seconds: Some(60) });
-        turns.leaves(2, at(70));
-        assert!(turns.steers(3, at(70)));
-        turns.leaves(1, at(71));
+        assert!(!turns.steers(alone(1), at(60)) && turns.steers(alone(2), at(60)), "the turn is over");
+        assert_eq!(turns.place(alone(1), at(60)), Place { may_steer: false, before: 2, waiting: 2, seconds: Some(60) });
+        turns.leaves(alone(2), at(70));
+        assert!(turns.steers(alone(3), at(70)));
+        turns.leaves(alone(1), at(71));
         assert_eq!(turns.ends_at(), None, "nobody waits any more");
-        turns.leaves(3, at(72));
-        assert!(turns.place(1, at(72)).may_steer && turns.steers(1, at(72)));
+        turns.leaves(alone(3), at(72));
+        assert!(turns.place(alone(1), at(72)).may_steer && turns.steers(alone(1), at(72)));
     }
 
     #[test]
     fn nobody_loses_the_wall_without_notice_and_an_idle_hand_loses_it_early() {
         let (mut turns, start) = (Turns::default(), Instant::now());
         let at = |seconds| start + Duration::from_secs(seconds);
-        assert!(turns.steers(1, start) && turns.steers(1, at(500)) && !turns.steers(2, at(500)));
-        assert!(turns.steers(1, at(509)) && !turns.steers(2, at(509)) && turns.steers(2, at(510)));
-        assert!(!turns.steers(1, at(511)));
-        assert!(!turns.steers(1, at(524)) && turns.steers(1, at(525)), "2 has not moved for 15 s");
+        assert!(turns.steers(alone(1), start) && turns.steers(alone(1), at(500)) && !turns.steers(alone(2), at(500)));
+        assert!(turns.steers(alone(1), at(509)) && !turns.steers(alone(2), at(509)) && turns.steers(alone(2), at(510)));
+        assert!(!turns.steers(alone(1), at(511)));
+        assert!(!turns.steers(alone(1), at(524)) && turns.steers(alone(1), at(525)), "2 has not moved for 15 s");
         // A clock that goes back ends nothing.
-        assert!(turns.steers(1, at(3)));
+        assert!(turns.steers(alone(1), at(3)));
+    }
+
+    #[test]
+    fn many_connections_of_one_network_get_no_more_turns_than_one() {
+        let (mut turns, start) = (Turns::default(), Instant::now());
+        for number in 0..40 {
+            turns.steers(of(1, number), start);
+        }
+        turns.steers(of(2, 100), start);
+        turns.steers(of(2, 101), start);
+        turns.steers(of(3, 200), start);
+        let order: Vec<_> = turns.order().1.iter().take(6).map(|client| client.number).collect();
+        assert_eq!(order, [100, 200, 1, 101, 2, 3]);
+        assert_eq!(turns.place(of(3, 200), start).before, 2);
+    }
+
+    #[test]
+    fn peers_are_told_apart_by_what_they_cannot_choose() {
+        let network = |address: &str| network(address.parse().unwrap()).to_string();
+        assert_eq!(network("192.168.1.7"), "192.168.1.7");
+        assert_eq!(network("::ffff:192.168.1.7"), "192.168.1.7");
+        assert_eq!(network("2001:db8:1:2:3:4:5:6"), "2001:db8:1:2::");
     }
 }

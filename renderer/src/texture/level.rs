@@ -45,9 +45,9 @@ impl Level {
         (self.first + column_offset(x) + row_offset(y, self.blocks_per_row)) as usize
     }
 
-    /// Arranges the texels of an image, which lie row by row at the beginning of `texels`, in blocks, and changes each. In
-    /// parallel.
-    pub(super) fn arrange<T: Copy + Default + Send>(&self, texels: &mut [T], change: impl Fn(T) -> T + Sync) {
+    /// Arranges the texels of an image, which lie row by row at the beginning of `texels`, in blocks, and changes each, whose
+    /// column and row are the second argument. In parallel.
+    pub(super) fn arrange<T: Copy + Default + Send>(&self, texels: &mut [T], change: impl Fn(T, [u32; 2]) -> T + Sync) {
         let [width, height] = self.size.map(|side| side as usize);
         let block_row = (self.blocks_per_row * TEXELS_PER_BLOCK) as usize;
         // The last first, so that none covers one that is still to be moved.
@@ -63,9 +63,10 @@ impl Level {
             rows.clear();
             rows.extend_from_slice(&blocks[..n_rows * width]);
             blocks.fill(T::default());
+            let first_row = block_row as u32 * BLOCK_SIZE;
             for (y, row) in (0..).zip(rows.chunks_exact(width)) {
                 for (x, &texel) in (0..).zip(row) {
-                    blocks[(column_offset(x) + row_offset(y, 0)) as usize] = change(texel);
+                    blocks[(column_offset(x) + row_offset(y, 0)) as usize] = change(texel, [x, first_row + y]);
                 }
             }
         });
@@ -177,7 +178,10 @@ mod tests {
             let level = Level::new(size, 0);
             let mut arranged: Vec<_> = (0..size[1]).flat_map(|y| (0..size[0]).map(move |x| [x, y])).collect();
             arranged.resize(level.n_texels() as usize, [0; 2]);
-            level.arrange(&mut arranged, |[x, y]| [x + 1, y + 2]);
+            level.arrange(&mut arranged, |texel, [x, y]| {
+                assert_eq!(texel, [x, y]);
+                [x + 1, y + 2]
+            });
             let is_there = |x, y| arranged[level.index(x, y)] == [x + 1, y + 2];
             assert!((0..size[0]).all(|x| (0..size[1]).all(|y| is_there(x, y))), "{size:?}");
             let mut texels = vec![[u32::MAX; 2]; level.n_texels() as usize];

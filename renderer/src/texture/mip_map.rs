@@ -50,9 +50,9 @@ impl MipMap {
         texels.reserve_exact(n_texels - texels.len());
         texels.resize(n_texels, Texel::default());
         let (of_image, _) = texels.split_at_mut(levels[0].n_texels() as usize);
-        levels[0].arrange(of_image, |texel| {
+        levels[0].arrange(of_image, |texel, at| {
             let [red, green, blue, _] = bytemuck::cast(texel);
-            Texel::new([red, green, blue].map(decode))
+            Texel::new([red, green, blue].map(decode), at)
         });
         for pair in levels.windows(2) {
             let [finer, level] = pair else { continue };
@@ -95,15 +95,15 @@ fn levels(of_image: [u32; 2]) -> impl Iterator<Item = Level> {
 fn mean(texels: &[Texel], finer: &Level, x: u32, y: u32) -> Texel {
     let [columns, rows] = [taps(x, finer.size[0]), taps(y, finer.size[1])];
     let mut mean = [0.0; 3];
-    for (y, weight_y) in rows {
-        for (x, weight_x) in columns {
-            let texel = texels[finer.index(x, y)];
+    for (finer_y, weight_y) in rows {
+        for (finer_x, weight_x) in columns {
+            let texel = texels[finer.index(finer_x, finer_y)];
             for (channel, sum) in mean.iter_mut().enumerate() {
                 *sum += texel.scaled(channel) * (weight_x * weight_y);
             }
         }
     }
-    Texel::new([0, 1, 2].map(|channel| mean[channel] * UNITS[channel]))
+    Texel::new([0, 1, 2].map(|channel| mean[channel] * UNITS[channel]), [x, y])
 }
 
 /// The texels that texel `index` of the next level covers in a row of `n`, and the weight of each.

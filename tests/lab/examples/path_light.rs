@@ -12,7 +12,7 @@ use anyhow::Context;
 use channel::files;
 use clap::Parser;
 use glam::{DVec3, Vec3};
-use lab::light::render_lights;
+use lab::light::{first_sample, render_lights};
 use renderer::{
     cli::picture_args::PictureArgs,
     model::scene::LoadedMesh,
@@ -111,15 +111,4 @@ fn light_of_picture(scene: &Scene, spec: &FrameSpec, samples: u32, picture: u32)
         cpu += cpu_of_frame;
     }
     (sums.iter().map(|sum| (*sum / f64::from(samples)).as_vec3()).collect(), cpu)
-}
-
-/// The number of a frame's first sample: any multiple of a power of two that is not less than `count`, because such samples
-/// are even. The multiples must be random: samples whose numbers differ by a power of two complement each other, so pictures of
-/// them are not independent, and their differences understate the error of their mean.
-fn first_sample(picture: u32, frame: u32, count: u32) -> u32 {
-    // Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators" (2014).
-    let mut x = (u64::from(picture) << 32 | u64::from(frame)).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-    (x ^ x >> 31) as u32 & !(count.next_power_of_two() - 1)
 }

@@ -5,11 +5,12 @@
 //! Both are compared with a picture of other samples. Errors are roots of mean squares over the pixels that show the model: of
 //! the light that a display shows, in levels of 255, and of linear light before exposure and tone mapping, in thousandths.
 //! Parts are those of the samples that a uniform picture of the same error takes, which is interpolated: for the whole
-//! picture, and for the pixels that show the model alone.
+//! picture, and for the pixels that show the model alone. The least part is that of samples in proportion to each tile's error,
+//! which nobody knows beforehand, where the square of the error falls as the number of samples rises.
 
 use clap::Parser;
 use glam::Vec3;
-use lab::light::render_lights;
+use lab::light::{first_sample, render_lights};
 use renderer::{
     cli::picture_args::PictureArgs,
     model::scene::LoadedMesh,
@@ -19,6 +20,7 @@ use renderer::{
     },
 };
 use shared::{
+    division::{Division, FrameSize},
     noise::NoiseLimit,
     protocol::{FrameSpec, SampleRange},
 };
@@ -48,10 +50,12 @@ struct Picture {
     cpu_s: f64,
 }
 
-/// Of a picture: samples of a pixel and of one that shows the model, and the errors.
+/// Of a picture: samples of a pixel and of one that shows the model, the errors, and of a uniform picture's samples the least
+/// part with which tiles of any numbers have its errors.
 struct Outcome {
     n_samples: [f64; 2],
     errors: [f64; 2],
+    least_parts: [f64; 2],
 }
 
 fn main() -> anyhow::Result<()> {
@@ -80,17 +84,24 @@ fn run(args: &Args) -> anyhow::Result<()> {
         };
         let of_seen = seen().map(|((_, n), _)| f64::from(*n)).sum::<f64>() / n_seen;
         let of_all = pixels.iter().map(|&(_, n)| f64::from(n)).sum::<f64>() / pixels.len() as f64;
-        Outcome { n_samples: [of_all, of_seen], errors: [error(0), error(1)] }
+        Outcome {
+            n_samples: [of_all, of_seen],
+            errors: [error(0), error(1)],
+            least_parts: [0, 1].map(|kind| least_part(pixels, &reference, kind, spec.size)),
+        }
     };
 
     println!("{:.1} % of the pixels show the model", 100.0 * n_seen / reference.len() as f64);
-    println!("uniform: samples, error shown, error of linear light, s of CPU time");
+    println!(
+        "uniform: samples, error shown, error of linear light, s of CPU time, least parts shown and of linear light"
+    );
     let mut uniform = Vec::new();
     for &count in &args.uniform {
         let picture = render(SampleRange::all(0, count));
         let outcome = outcome(&picture);
-        let [shown, linear] = outcome.errors;
-        println!("  {count:8} {shown:8.3} {linear:8.3} {:8.2}", picture.cpu_s);
+        let ([shown, linear], least) = (outcome.errors, outcome.least_parts);
+        let cpu_s = picture.cpu_s;
+        println!("  {count:8} {shown:8.3} {linear:8.3} {cpu_s:8.2} {:8.2} {:8.2}", least[0], least[1]);
         uniform.push(outcome);
     }
     println!(
@@ -99,7 +110,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     );
     for &noise in &args.noise {
         let picture = render(SampleRange { noise, ..SampleRange::all(0, SampleRange::LARGEST_COUNT) });
-        let Outcome { n_samples, errors } = outcome(&picture);
+        let Outcome { n_samples, errors, .. } = outcome(&picture);
         let [all, seen] = n_samples.map(|n| [0, 1].map(|kind| n / uniform_of(&uniform, kind, errors[kind])));
         println!(
             "  {noise:8} {:8.1} {:8.1} {:8.3} {:8.3} {:8.2} {:8.2} {:8.2} {:8.2} {:8.2}",
@@ -113,13 +124,31 @@ fn run(args: &Args) -> anyhow::Result<()> {
 fn mean_of(n_samples: u32, render: impl Fn(SampleRange) -> Picture) -> Vec<[Vec3; 2]> {
     let count = n_samples.min(SampleRange::LARGEST_COUNT);
     let n_frames = n_samples.div_ceil(count);
-    let pictures = (1..=n_frames).map(|frame| render(SampleRange::all(frame << 16, count)).pixels);
+    let pictures = (0..n_frames).map(|frame| render(SampleRange::all(first_sample(0, frame, count), count)).pixels);
     let add = |mut sums: Vec<([Vec3; 2], u32)>, pixels: Vec<([Vec3; 2], u32)>| {
         sums.iter_mut().zip(pixels).for_each(|((sum, _), (light, _))| (0..2).for_each(|kind| sum[kind] += light[kind]));
         sums
     };
     let sums = pictures.reduce(add).unwrap_or_default();
     sums.into_iter().map(|(sum, _)| sum.map(|sum| sum / n_frames as f32)).collect()
+}
+
+/// The part of a uniform picture's samples that it takes, for the same error, if each tile's are in proportion to its own error.
+fn least_part(pixels: &[([Vec3; 2], u32)], reference: &[[Vec3; 2]], kind: usize, size: FrameSize) -> f64 {
+    let (mut sum, mut sum_of_squares) = (0.0, 0.0);
+    let tiles = Division::Tiled.task(0, 1).share(size).expect("one machine renders any frame");
+    for tile in 0..tiles.count() {
+        let samples = tiles.samples(tile);
+        let squared_error = |(i, j): (u32, u32)| {
+            let at = (j * size.xres() + i) as usize;
+            f64::from((pixels[at].0[kind] - reference[at][kind]).length_squared())
+        };
+        let n = f64::from(samples.count());
+        let of_tile = samples.iter().map(squared_error).sum::<f64>();
+        sum += (n * of_tile).sqrt();
+        sum_of_squares += of_tile;
+    }
+    sum * sum / (f64::from(size.n_samples()) * sum_of_squares)
 }
 
 /// Samples of each pixel of a uniform picture with this error, between those that were measured or beyond the last.

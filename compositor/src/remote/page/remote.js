@@ -36,6 +36,8 @@ function connect() {
     $("leave").hidden = true;
     surface.dataset.lost = "";
     hands.clear();
+    // Without a token the wall will never let it in.
+    if (!isKnown && !token) return;
     retry = setTimeout(connect, delay);
     delay = Math.min(delay * 2, 4000);
   };

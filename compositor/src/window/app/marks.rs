@@ -201,7 +201,7 @@ impl App<'_> {
     }
 
     /// The parts of the canvas that panels covered in the last picture.
-    fn covered_canvas(&self) -> Vec<Rect> {
+    pub(super) fn covered_canvas(&self) -> Vec<Rect> {
         let on_canvas = |point| {
             let point = self.wall.wall.canvas_at(self.outputs.overlay_on_wall(point));
             egui::pos2(point.x as f32, (1.0 - point.y) as f32)
@@ -472,6 +472,7 @@ fn write(FileToWrite { file, before, text }: &FileToWrite) -> Result<Effect, Str
     let copy = sidecar::write_beside(file, before.as_deref(), text)
         .map_err(|error| format!("marks are kept until the wall ends, but {error}"))?;
     Ok(copy.map_or_else(Effect::default, |copy| {
-        Effect::note(format!("Somebody else has changed {}: it is kept as {}", file.display(), copy.display()))
+        let (file, copy) = (file.display(), copy.display());
+        Effect::problem(format!("somebody else has changed {file}: that version is kept as {copy}"))
     }))
 }

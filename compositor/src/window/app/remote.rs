@@ -273,7 +273,7 @@ impl App<'_> {
             caption: scene.map(|(_, scene)| scene.caption.clone()).filter(|caption| !caption.is_empty()),
             scene_seconds: scene.and_then(|(_, scene)| scene.ending.after).map(|after| after.as_secs_f64()),
             is_show_playing: player.is_some_and(Player::is_playing),
-            own_certificate: self.remote.remote.as_ref().and_then(Remote::own_seal).map(str::to_owned),
+            own_certificate: self.remote.remote.as_ref().and_then(Remote::own_seal),
             note: overlay.note.clone(),
         };
         let controls = Controls {

@@ -112,13 +112,13 @@ impl ShowControl {
         self.fade.take_if(|_| is_over);
     }
 
-    /// The caption of the picture that is seen most, in a `free` part of the canvas.
-    pub(super) fn caption(&self, free: egui::Rect, now: Instant) -> Option<Caption> {
+    /// The caption of the picture that is seen most, in a `free` part of the canvas of which some parts are `covered`.
+    pub(super) fn caption(&self, free: egui::Rect, covered: &[egui::Rect], now: Instant) -> Option<Caption> {
         let part = self.fade_part(now) as f32;
         let old = self.fade.as_ref().map(|fade| fade.old_caption.as_str()).filter(|_| part < 0.5);
         let text = old.or_else(|| self.player.shown().map(|(_, scene)| scene.caption.as_str()))?;
         let opacity = if self.fade.is_some() { (2.0 * part - 1.0).abs() } else { 1.0 };
-        (!text.is_empty()).then(|| Caption { text: text.to_owned(), opacity, free })
+        (!text.is_empty()).then(|| Caption::new(text, opacity, free, covered))
     }
 
     /// A frame of this change is the first on the wall. Returns the path that the camera takes now, and whether it repeats.
@@ -222,6 +222,7 @@ impl App<'_> {
         if !ends {
             show.player.steer(Instant::now());
         }
+        self.remote.has_news = true;
         ends
     }
 
@@ -244,6 +245,8 @@ impl App<'_> {
             return Effect::note("The show has no scenes yet: Ctrl+K keeps the present view as one");
         }
         order(&mut show.player);
+        // Nothing else may change on a wall at rest.
+        self.remote.has_news = true;
         Effect::default()
     }
 
@@ -287,6 +290,10 @@ impl App<'_> {
         let file = show.file.clone();
         Effect::job(move || {
             let (show, map) = show::edit_scene(&file, (index, &scene), &edit)?;
+            let Some(map) = map else {
+                let note = format!("Scene {} has changed meanwhile, and is left so", index + 1);
+                return Ok(Effect { show: Some(Box::new((show, SceneMap::Same))), ..Effect::note(note) });
+            };
             let note = match map {
                 SceneMap::Same => format!("Scene {} is changed", index + 1),
                 SceneMap::Moved { to, .. } => format!("Scene {} is scene {} now", index + 1, to + 1),

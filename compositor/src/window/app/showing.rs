@@ -79,7 +79,7 @@ impl App<'_> {
 
     fn update_overlay(&mut self, now: Instant) {
         let goal = self.farm.goal();
-        let caption = self.show.as_ref().and_then(|show| show.caption(self.free_canvas(), now));
+        let caption = self.show.as_ref().and_then(|show| show.caption(self.free_canvas(), &self.covered_canvas(), now));
         let overlay = &mut self.overlay;
         overlay.status = self.farm.status();
         overlay.division = goal.division;
@@ -156,8 +156,8 @@ impl App<'_> {
         self.overlay.marks.places = drawn.overlay.places;
         if self.covered != drawn.overlay.covered {
             self.covered = drawn.overlay.covered;
-            // Labels make room.
-            self.presentation.is_stale |= !self.overlay.marks.labels.is_empty();
+            // Labels and captions make room.
+            self.presentation.is_stale |= !self.overlay.marks.labels.is_empty() || self.overlay.caption.is_some();
         }
         if !drawn.overlay.has_dialog && self.panels != drawn.overlay.panels {
             self.panels = drawn.overlay.panels;

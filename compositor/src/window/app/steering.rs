@@ -345,9 +345,7 @@ impl App<'_> {
                 self.overlay.pick = pick;
                 pick.map_or_else(Effect::default, |pick| Effect::note(pick.to_string()))
             }
-            (Purpose::GoTo | Purpose::Annotate | Purpose::Measure, None) => {
-                Effect::note("The model is not under the cursor")
-            }
+            (Purpose::GoTo | Purpose::Annotate | Purpose::Measure, None) => Effect::note("The model is not there"),
             (Purpose::Annotate, Some(pick)) => self.annotate(pick),
             (Purpose::Measure, Some(pick)) => self.measure(pick),
             (Purpose::GoTo, Some(pick)) => {

@@ -20,7 +20,7 @@ use super::{
 };
 use crate::{
     farm::frame_spec,
-    light::render_lights,
+    light::{first_sample, render_lights},
     plot::{Axis, COLORS, Figure, Mark, Plot, Point, Series, significant},
     statistics::{mean, median, milliseconds},
 };
@@ -66,10 +66,6 @@ pub(super) struct LightRow {
     flip: f64,
 }
 
-/// First sample of the reference: a multiple of 1024, so that its samples are even, with other bits at random. Samples whose numbers
-/// differ in few bits complement each other, and a reference of them would have its errors in common with the pictures.
-const FIRST_REFERENCE_SAMPLE: u32 = 0x9e37_7800;
-
 /// A picture's linear light, row by row from the bottom, its samples, and its CPU time.
 struct Picture {
     lights: Vec<DVec3>,
@@ -91,7 +87,7 @@ pub(super) fn measure(
     let frames = settings.n_reference_paths / SampleRange::LARGEST_COUNT;
     let mut truth = vec![DVec3::ZERO; size.n_samples() as usize];
     for frame in 0..frames {
-        let first = FIRST_REFERENCE_SAMPLE + frame * SampleRange::LARGEST_COUNT;
+        let first = first_sample(0, frame, SampleRange::LARGEST_COUNT);
         let picture = render(LightingMode::Path, SampleRange::all(first, SampleRange::LARGEST_COUNT));
         truth.iter_mut().zip(picture.lights).for_each(|(sum, light)| *sum += light / f64::from(frames));
         done(None, 0.5 * (frame + 1) as f32 / frames as f32)?;
