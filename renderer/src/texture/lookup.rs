@@ -356,14 +356,14 @@ fn neighbours_in_rows(
 
 /// The level whose texels are the next smaller than `width`, in texels of the image, and the part of the next level.
 ///
-/// A number's exponent and mantissa are its logarithm, linear between powers of two. The part changes in the middle half
-/// alone: other widths need one lookup. Nothing branches, so that a loop becomes vector instructions.
+/// A number's exponent and mantissa are its logarithm, linear between powers of two. The part changes in the middle
+/// quarter alone: other widths need one lookup. Nothing branches, so that a loop becomes vector instructions.
 #[inline(always)]
 fn level_of(width: f32) -> (u32, f32) {
     const MANTISSA: u32 = 0x007f_ffff;
     // Not less than a texel; NaN is one.
     let bits = (if width > 1.0 { width } else { 1.0 }).to_bits();
-    let part = 2.0 * (f32::from_bits(bits & MANTISSA | 1.0f32.to_bits()) - 1.0) - 0.5;
+    let part = 4.0 * (f32::from_bits(bits & MANTISSA | 1.0f32.to_bits()) - 1.0) - 1.5;
     let part = if part > 0.0 { part } else { 0.0 };
     ((bits >> 23) - 127, if part < 1.0 { part } else { 1.0 })
 }
