@@ -5,6 +5,7 @@ use shared::{
     appearance::{Background, Clip, ClipSide},
     division::Division,
     marks::Annotation,
+    printable::printable_line,
     protocol::{LightingMode, ShadingMode},
 };
 
@@ -308,7 +309,7 @@ pub fn decode(json: &[u8]) -> Result<Message, String> {
     if json.len() > LONGEST_MESSAGE {
         return Err(format!("a message has at most {LONGEST_MESSAGE} bytes"));
     }
-    let message: Message = serde_json::from_slice(json).map_err(|error| error.to_string())?;
+    let message: Message = serde_json::from_slice(json).map_err(|error| printable_line(&error.to_string()))?;
     message.action.fault().map_or(Ok(message), |fault| Err(fault.to_owned()))
 }
 
@@ -317,7 +318,7 @@ pub fn decode(json: &[u8]) -> Result<Message, String> {
 /// # Errors
 /// One line: it is no action, or a number is beyond its limits.
 pub fn action(json: serde_json::Value) -> Result<Action, String> {
-    let action = Action::deserialize(json).map_err(|error| error.to_string())?;
+    let action = Action::deserialize(json).map_err(|error| printable_line(&error.to_string()))?;
     action.fault().map_or(Ok(action), |fault| Err(fault.to_owned()))
 }
 
@@ -365,6 +366,7 @@ mod tests {
             "",
             "[]",
             r#"{"do":"quit"}"#,
+            r#"{"do":"two\nlines"}"#,
             r#"{"do":"orbit","x":1e999,"y":0}"#,
             r#"{"do":"orbit","x":11,"y":0}"#,
             r#"{"do":"dolly","factor":0}"#,
