@@ -78,8 +78,9 @@ impl Remote {
     pub(crate) fn start(options: &RemoteOptions, wake: impl Fn() + Send + Sync + 'static) -> anyhow::Result<Self> {
         let RemoteOptions { address, tokens, certificate, name, host_name, own_address } = options;
         if let Some(path) = tokens {
-            tokens::Tokens::read(path).with_context(|| {
-                format!("--remote-tokens: `compositor remote-token {} NAME` makes a file", path.display())
+            tokens::Tokens::read(path).with_context(|| match path.exists() {
+                true => "--remote-tokens cannot be used".to_owned(),
+                false => format!("no tokens: `compositor remote-token {} NAME` makes one", path.display()),
             })?;
         }
         let runtime = tokio::runtime::Builder::new_current_thread()

@@ -41,7 +41,7 @@ pub(super) struct CertificateFile {
     read: Mutex<Read>,
 }
 
-/// What was read.
+/// The certificate that was read last.
 #[derive(Debug)]
 struct Read {
     /// The file's, while it would tell of any change since.
@@ -77,11 +77,13 @@ impl CertificateFile {
         Ok(Self { path: path.to_owned(), read: Mutex::new(Read { stamp: None, certificate }) })
     }
 
-    /// The certificate for a new connection. If the file has changed and cannot be used, it is the one of before.
+    /// The certificate for a new connection. If the file is gone, or has changed and cannot be used, it is the one of before.
     pub(super) fn renewed(&self) -> Certificate {
         let mut read = self.read();
-        let (stamp, now) = (Stamp::at(&self.path), SystemTime::now());
-        if read.stamp.is_none() || read.stamp != stamp {
+        let now = SystemTime::now();
+        // Connections are anybody's, so the log has a line for each change of the file, and none for each of them.
+        let Some(stamp) = Stamp::at(&self.path) else { return read.certificate.clone() };
+        if read.stamp.as_ref() != Some(&stamp) {
             match Certificate::read(&self.path) {
                 Ok(certificate) => {
                     if certificate.fingerprint != read.certificate.fingerprint {
@@ -95,7 +97,7 @@ impl CertificateFile {
                 }
                 Err(error) => tracing::error!("the remote keeps its old certificate: {error:#}"),
             }
-            read.stamp = stamp.filter(|stamp| stamp.is_settled(now));
+            read.stamp = stamp.is_settled(now).then_some(stamp);
         }
         read.certificate.clone()
     }
