@@ -1,4 +1,4 @@
-//! What was found of one projector, as numbers: for drawings.
+//! The result of calibrating one projector, as numbers: for drawings.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +6,7 @@ use glam::DVec2;
 
 use super::{fitting::median, solve::Fit};
 
-/// What photographs told of one projector.
+/// A projector as photographs show it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Finding {
     /// How well it fits; `None` if it was not found.

@@ -76,7 +76,7 @@ struct Other {
     part: f64,
 }
 
-/// What other projectors' black adds to the light of each square.
+/// The light that other projectors' black adds to each square.
 pub(super) fn foreign(
     overlaps: &Overlaps<'_>,
     lits: &[Lit],

@@ -22,7 +22,7 @@ pub(super) struct Lit {
     /// For red, green and blue: the light, and its error for an error of one in the value; `None` where the photograph is
     /// over-exposed.
     pub light: [Option<[f64; 2]>; 3],
-    /// What other projectors' black adds to it.
+    /// The light that other projectors' black adds.
     pub foreign: [f64; 3],
 }
 

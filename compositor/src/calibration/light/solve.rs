@@ -118,7 +118,7 @@ pub fn solve(wall: &Wall, shots: &[&LightShot]) -> LightSolution {
     LightSolution { projectors, shot_errors, has_no_response, over_exposed, has_vignetting }
 }
 
-/// What follows from all squares once the light of others' black in each is known.
+/// The solution of all squares, if the light of others' black in each is known.
 struct Round {
     has_no_response: Vec<bool>,
     /// In the order of shots and their samples.

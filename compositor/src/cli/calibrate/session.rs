@@ -1,4 +1,4 @@
-//! What the wall shows while it is calibrated: patterns, what was seen so far, what was found. Pure: no window, no folder.
+//! The pages on the wall while it is calibrated: patterns, photographs so far, findings. Pure: no window, no folder.
 
 use std::ops::ControlFlow;
 
@@ -81,7 +81,7 @@ impl<'a> Session<'a> {
         self
     }
 
-    /// What was found since the last call.
+    /// The findings since the last call.
     pub(super) fn take_news(&mut self) -> Option<&Verdict> {
         let is_new = std::mem::take(&mut self.is_new);
         self.verdict.as_ref().filter(|_| is_new)
@@ -92,7 +92,7 @@ impl<'a> Session<'a> {
         self.shown == Shown::Findings && self.verdict.as_ref().is_some_and(|it| self.may_be_accepted(it))
     }
 
-    /// What was found, if it was accepted.
+    /// The findings, if they were accepted.
     pub(super) fn into_verdict(self) -> Option<Verdict> {
         self.verdict.filter(|_| self.is_accepted)
     }

@@ -1,4 +1,4 @@
-//! What a calibration found, drawn on the canvas: to be looked at on the wall, or in a file.
+//! A calibration's findings, drawn on the canvas: to be looked at on the wall, or in a file.
 
 use glam::DVec2;
 use shared::{division::FrameSize, printable::printable_line};
@@ -18,7 +18,7 @@ pub(crate) struct CanvasPicture {
     pub rgba: Vec<u8>,
 }
 
-/// What is said of one projector.
+/// The drawing on one projector.
 struct Field {
     color: [u8; 3],
     /// The first is large.
