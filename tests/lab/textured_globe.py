@@ -1,10 +1,10 @@
 """Writes a globe with hills and a texture, for comparisons of path-traced light: as GLB, as PLY and its texture as PNG.
 
-    target/mitsuba/bin/python tests/lab/textured_globe.py globe
+    target/mitsuba/bin/python tests/lab/textured_globe.py globe [fine]
 
 This writes globe.glb, globe.ply and globe.png. The PLY file holds the same triangles and texture coordinates; Mitsuba reads no
-GLB. Hills make light bounce from one place of the texture to others. Its patches are large, because a path that has been
-scattered sees the texture blurred over a tenth of a radian.
+GLB. Hills make light bounce from one place of the texture to others. Its patches are large; with `fine` the texture has four
+times as many texels along each side, and random squares of 8 and 64 of them.
 """
 
 import json
@@ -16,6 +16,7 @@ import numpy as np
 
 ROWS, COLUMNS = 256, 512
 TEXTURE_HEIGHT = 512
+FINE_TEXTURE_HEIGHT = 2048
 
 
 def globe():
@@ -44,6 +45,17 @@ def texture():
     fade = np.sin(np.pi * v) ** 2
     waves = np.stack([np.sin(2 * np.pi * (n * u + m * v)) for n, m in ((1, 0.5), (1, -1), (2, 0.5))], axis=-1)
     return np.rint(150 + 100 * fade[..., None] * waves).astype(np.uint8)
+
+
+def fine_texture():
+    """8-bit sRGB, top row first: colours of random squares, small ones on large ones."""
+    height, width = FINE_TEXTURE_HEIGHT, 2 * FINE_TEXTURE_HEIGHT
+    random = np.random.default_rng(1)
+
+    def squares(side):
+        return np.kron(random.random((height // side, width // side, 3)) - 0.5, np.ones((side, side, 1)))
+
+    return np.rint(140 + 100 * squares(8) + 100 * squares(64)).astype(np.uint8)
 
 
 def png(pixels):
@@ -96,13 +108,14 @@ def ply(points, coordinates, triangles):
 
 
 def main():
-    if len(sys.argv) != 2:
-        sys.exit("give the files' name without an ending: textured_globe.py globe")
+    if len(sys.argv) < 2 or sys.argv[2:] not in ([], ["fine"]):
+        sys.exit("give the files' name without an ending, and fine for a fine texture: textured_globe.py globe [fine]")
+    name, is_fine = sys.argv[1], len(sys.argv) == 3
     points, coordinates, triangles = globe()
-    image = png(texture())
+    image = png(fine_texture() if is_fine else texture())
     files = {"glb": glb(points, coordinates, triangles, image), "ply": ply(points, coordinates, triangles), "png": image}
     for ending, data in files.items():
-        with open(f"{sys.argv[1]}.{ending}", "wb") as file:
+        with open(f"{name}.{ending}", "wb") as file:
             file.write(data)
 
 

@@ -61,10 +61,6 @@ pub const ZENITH_LIGHT: Vec3 = Vec3::new(0.40, 0.46, 0.57);
 /// Linear light of the sky straight below.
 pub const GROUND_LIGHT: Vec3 = Vec3::new(0.13, 0.115, 0.105);
 
-/// Change of a scattered ray's direction across what it stands for, in radians: the detail of textures that it sees, which
-/// many paths blur anyway.
-const SCATTERED_WIDTH: f32 = 0.1;
-
 /// Reflections that diffusely scattered light sees have at least this roughness: smoother ones would be rare and bright, as
 /// caustics.
 const LEAST_SCATTERED_ROUGHNESS: f32 = 0.5;
@@ -323,7 +319,8 @@ impl<'a> PathTracer<'a> {
             rays.push_shadow_ray((lifted.point, direction, f32::MAX), escaped);
             return;
         }
-        let width = if is_diffuse { SCATTERED_WIDTH } else { path.sides[0].length() / path.direction.length() };
+        // Light that was scattered widely sees textures as they are: many paths blur them anyway.
+        let width = if is_diffuse { 0.0 } else { path.sides[0].length() / path.direction.length() };
         rays.pending.push(Pending {
             path: Path {
                 origin: lifted.point.as_vec3().as_dvec3(),
