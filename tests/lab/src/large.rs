@@ -22,6 +22,7 @@ use renderer::{
 use serde::Serialize;
 use shared::printable::{bytes, counted};
 
+pub(crate) use self::frames::{MappedScenes, views};
 use self::{frames::FrameFigures, process::Watched};
 use crate::{farm::renderer_program, statistics::median};
 
@@ -167,8 +168,7 @@ struct Files {
     model: PathBuf,
     scene: PathBuf,
     picture: PathBuf,
-    /// For the seal of the scene file: the user's own cache has no part in this.
-    caches: PathBuf,
+    folder: PathBuf,
     is_kept: bool,
 }
 
@@ -178,13 +178,13 @@ impl Files {
         let folder = std::path::absolute(folder)?;
         let named = |ending: &str| folder.join(format!("statue-{triangles}.{ending}"));
         let [model, scene, picture] = ["ply", "raywall", "png"].map(named);
-        Ok(Self { model, scene, picture, caches: folder.join("caches"), is_kept })
+        Ok(Self { model, scene, picture, folder, is_kept })
     }
 
     /// The command of the program `renderer` with this folder's cache.
     fn renderer(&self) -> Result<Command> {
         let mut command = Command::new(renderer_program()?);
-        command.env("XDG_CACHE_HOME", &self.caches).env("RUST_LOG", "error");
+        command.env("XDG_CACHE_HOME", MappedScenes::caches_in(&self.folder)).env("RUST_LOG", "error");
         Ok(command)
     }
 }
@@ -194,7 +194,7 @@ impl Drop for Files {
         let own: &[&Path] = if self.is_kept { &[] } else { &[&self.model, &self.scene] };
         // Those that were not made yet are not there.
         own.iter().chain([&&*self.picture]).for_each(|path| drop(fs::remove_file(path)));
-        let _ = fs::remove_dir_all(&self.caches);
+        let _ = fs::remove_dir_all(MappedScenes::caches_in(&self.folder));
     }
 }
 
@@ -238,11 +238,14 @@ fn measure(files: &Files, triangles: u32) -> Result<Row> {
     })
 }
 
+/// A figure of a size, as the table has it.
+type Value<'a> = &'a dyn Fn(&Row) -> String;
+
 /// The figures, a column for each size.
 fn table(rows: &[Row]) -> String {
     let megabytes = |bytes: u64| format!("{:.0}", bytes as f64 / 1e6);
     let unknown = || "unknown".to_owned();
-    let figures: [(&str, &dyn Fn(&Row) -> String); 14] = [
+    let figures: [(&str, Value<'_>); 14] = [
         ("triangles", &|row| row.triangles.to_string()),
         ("bytes a triangle, scene file", &|row| format!("{:.1}", row.scene_bytes_per_triangle)),
         ("PLY to scene file, s", &|row| format!("{:.1}", row.build_s)),
@@ -262,7 +265,7 @@ fn table(rows: &[Row]) -> String {
             row.pss_bytes.map_or_else(unknown, |[one, two]| format!("{:.3}", two as f64 / one as f64))
         }),
     ];
-    let line = |(name, value): &(&str, &dyn Fn(&Row) -> String)| {
+    let line = |(name, value): &(&str, Value<'_>)| {
         let values: String = rows.iter().map(|row| format!("{:>12}", value(row))).collect();
         format!("{name:<40}{values}")
     };

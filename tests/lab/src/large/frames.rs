@@ -1,6 +1,10 @@
 //! Frames of a mapped scene file: in this process for their time, and by render servers for their memory.
 
-use std::{process::Stdio, time::Instant};
+use std::{
+    path::{Path, PathBuf},
+    process::Stdio,
+    time::Instant,
+};
 
 use anyhow::{Result, anyhow, ensure};
 use compositor::farm::RenderGoal;
@@ -54,9 +58,32 @@ pub(super) struct FrameFigure {
     pub(super) mpixel_per_core_s: f64,
 }
 
+/// Scene files on the disk of a folder, which holds a cache for their seals: the user's own cache has no part in this.
+pub(crate) struct MappedScenes(SceneStore);
+
+impl MappedScenes {
+    /// The folder for the variable XDG_CACHE_HOME of programs that use the same seals.
+    pub(super) fn caches_in(folder: &Path) -> PathBuf {
+        folder.join("caches")
+    }
+
+    pub(crate) fn in_folder(folder: &Path) -> Result<Self> {
+        let cache = Cache::at(Self::caches_in(folder).join("raywall"), 0).map_err(|fault| anyhow!(fault))?;
+        Ok(Self(SceneStore::new(Some(cache))))
+    }
+
+    /// Maps a scene file, on the current rayon pool.
+    pub(crate) fn load(&self, path: &Path) -> Result<StoredScene> {
+        let source = SceneSource::File(path.to_owned());
+        let stored = self.0.load(&source, Crease::default(), &GridOptions::default(), &|_, _| ())?;
+        ensure!(stored.is_mapped, "{} is not mapped: others may write in its folder", path.display());
+        Ok(stored)
+    }
+}
+
 /// Two views of a model that stands upright: all of it, and the surface in the middle of that view from a tenth of the
 /// distance.
-pub(super) fn views(scene: &Scene, shape: &Shape, size: FrameSize) -> [Camera; 2] {
+pub(crate) fn views(scene: &Scene, shape: &Shape, size: FrameSize) -> [Camera; 2] {
     let aspect = f64::from(size.xres()) / f64::from(size.yres());
     let whole = Camera::view_all(shape, shape.up, aspect, CanvasPart::WHOLE);
     let middle = scene.probe(&whole, [0.5, 0.5], None).map_or(whole.target(), |hit| hit.point);
@@ -65,12 +92,9 @@ pub(super) fn views(scene: &Scene, shape: &Shape, size: FrameSize) -> [Camera; 2
 
 /// Maps the scene file, and renders frames on all cores and on one thread in turns.
 pub(super) fn measure(files: &Files) -> Result<FrameFigures> {
-    let cache = Cache::at(files.caches.join("raywall"), 0).map_err(|fault| anyhow!(fault))?;
-    let source = SceneSource::File(files.scene.clone());
     let pools = [threads::pool(None)?, threads::pool(Some(1))?];
-    let load = || SceneStore::new(Some(cache)).load(&source, Crease::default(), &GridOptions::default(), &|_, _| ());
-    let StoredScene { info, scene, is_mapped, .. } = pools[0].install(load)?;
-    ensure!(is_mapped, "{} is not mapped: others may write in its folder", files.scene.display());
+    let scenes = MappedScenes::in_folder(&files.folder)?;
+    let StoredScene { info, scene, .. } = pools[0].install(|| scenes.load(&files.scene))?;
 
     let size = FrameSize::PAPER;
     let cameras = views(&scene, &info.shape, size);
