@@ -47,6 +47,9 @@ use crate::{
 /// Samples a pixel: in motion, and at rest.
 const SAMPLES: [u32; 2] = [1, 16];
 
+/// A stand-in with more than this part of a model's triangles saves nothing, and is not measured.
+const MOST_KEPT: f64 = 0.9;
+
 /// Samples a pixel of the picture that others are compared with.
 const N_REFERENCE_SAMPLES: u32 = SampleRange::LARGEST_COUNT;
 
@@ -155,10 +158,16 @@ impl Lab<'_> {
             let mut versions = vec![];
             {
                 let progress = Progress::new(format!("coarsening {name}"));
-                let mesh = scene::load(&source, Crease::default(), &|done| progress.set(0.2 * done))?.mesh;
+                let load = || scene::load(&source, Crease::default(), &|done| progress.set(0.2 * done));
+                let LoadedMesh { mesh, .. } = self.all.install(|| load().map(LoadedMesh::smooth))?;
                 for &cell in &self.args.cells {
+                    let coarse = clustered(&mesh, cell * sample);
+                    if coarse.triangles.len() as f64 > MOST_KEPT * mesh.triangles.len() as f64 {
+                        say(format_args!("{name}, {view}: clusters of {cell} samples leave nearly all triangles"))?;
+                        continue;
+                    }
                     let path = self.out.join(format!("{name}-{view}-{cell}.raywall"));
-                    self.all.install(|| write_scene(clustered(&mesh, cell * sample), &options, &path))?;
+                    self.all.install(|| write_scene(coarse, &options, &path))?;
                     versions.push(Version { cell, path, is_ours: true });
                 }
             }
@@ -265,7 +274,8 @@ fn write_scene(mesh: Mesh, options: &GridOptions, path: &Path) -> Result<()> {
     let mut scene = Scene::build(loaded.mesh, options, &|_| ());
     let bytes = file::to_bytes(&mut scene, &info)?;
     drop(scene);
-    fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+    let write = channel::files::write(path, |out| out.write_all(&bytes));
+    write.with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Whether a stand-in pays.
