@@ -51,9 +51,10 @@ bench:
 # Very large models: building, starting, frames and memory. It says first what it needs, and ends if this machine lacks that;
 # `make test` measures a small one.
 LARGE_TRIANGLES ?= 10000000,100000000
+LARGE_FLAGS ?=
 large:
 	$(CARGO) build --release
-	$(CARGO) run --release -p lab -- large --triangles $(LARGE_TRIANGLES)
+	$(CARGO) run --release -p lab -- large --triangles $(LARGE_TRIANGLES) $(LARGE_FLAGS)
 
 # Path-traced light beside that of Mitsuba 3, which it installs from PyPI into target/mitsuba.
 MODEL ?= target/statue.ply

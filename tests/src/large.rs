@@ -1,10 +1,10 @@
-//! `make large` with a small model, and one that does not fit.
+//! Measurements of very large models, with small ones: `make large`, also where a model does not fit, and `lab detail`.
 
 use std::process::Command;
 
 use serde_json::Value;
 
-use crate::process::Program;
+use crate::process::{Program, generate_statue};
 
 #[test]
 fn large_models_are_measured_from_their_files_to_frames() {
@@ -51,4 +51,35 @@ fn large_models_are_measured_from_their_files_to_frames() {
             && said.contains("; this machine lacks that: ask for fewer triangles");
         assert!(!status.success() && is_told && !said.contains("bytes a triangle"), "{said}");
     }
+}
+
+#[test]
+fn a_stand_in_as_coarse_as_samples_reads_less_and_shows_about_the_same() {
+    let folder = tempfile::tempdir_in(std::env::current_exe().unwrap().parent().unwrap()).unwrap();
+    let [model, out] = ["statue.ply", "figures"].map(|name| folder.path().join(name));
+    generate_statue(300_000, &model);
+    let mut command = Program::command("lab");
+    command.arg("detail").arg(&model).args(["--size", "96x48", "--cells", "0.25,2", "--out"]).arg(&out);
+    let said = Program::succeed(command);
+    let text = std::fs::read_to_string(out.join("detail.csv")).unwrap();
+    let mut lines = text.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let names = lines.next().unwrap();
+    let rows: Vec<_> = lines.collect();
+    let field = |row: &[&str], name: &str| row[names.iter().position(|it| *it == name).unwrap()].to_owned();
+    let number = |row: &[&str], name: &str| field(row, name).parse::<f64>().unwrap();
+    let of_whole: Vec<_> =
+        rows.iter().filter(|row| field(row, "view") == "whole" && number(row, "samples") == 1.0).collect();
+    let [itself, fine, coarse] = of_whole[..] else { panic!("{said}") };
+    assert!(number(itself, "psnr") > 25.0 && number(itself, "lost_db") == 0.0, "{text}");
+    assert!(number(fine, "lost_db") < number(coarse, "lost_db"), "{text}");
+    for stand_in in [fine, coarse] {
+        assert!(number(stand_in, "triangles") < number(itself, "triangles"), "{text}");
+        if cfg!(target_os = "linux") {
+            let part = number(stand_in, "touched_mb") / number(itself, "touched_mb");
+            assert!(part < 0.9 && (part - number(stand_in, "touched_part")).abs() < 1e-6, "{text}");
+        }
+    }
+    assert!(std::fs::read_to_string(out.join("detail.svg")).unwrap().contains("dB lost"));
+    let left = std::fs::read_dir(&out).unwrap().flatten().map(|entry| entry.path());
+    assert_eq!(left.filter(|path| path.extension().is_some_and(|it| it == "raywall")).count(), 0);
 }

@@ -30,6 +30,7 @@ use serde::Serialize;
 use shared::{
     camera::Camera,
     division::FrameSize,
+    printable::counted,
     protocol::{FrameSpec, SampleRange},
     scene::{Crease, SceneId},
 };
@@ -66,6 +67,10 @@ pub struct DetailArgs {
     /// Sizes of clusters, as parts of a sample in the middle of the picture
     #[arg(long, value_name = "PART,…", value_delimiter = ',', default_value = "0.25,0.5,1,2")]
     cells: Vec<f64>,
+
+    /// Samples of a frame
+    #[arg(long, value_name = "WxH", default_value_t = FrameSize::PAPER)]
+    size: FrameSize,
 
     /// Memory for building each scene
     #[arg(long, value_name = "SIZE", default_value = "8G")]
@@ -149,7 +154,7 @@ impl Lab<'_> {
         let name = model.file_stem().unwrap_or(model.as_os_str()).to_string_lossy().into_owned();
         let (source, options) = (SceneSource::File(model.to_owned()), self.options());
         let whole = self.whole(model, &source)?;
-        let size = FrameSize::PAPER;
+        let size = self.args.size;
         let StoredScene { info, scene, .. } = self.load(&whole.path)?;
         let cameras = views(&scene, &info.shape, size);
         let cells_of = cameras.map(|camera| (camera, sample_size(&scene, &camera, size)));
@@ -283,10 +288,10 @@ fn verdict(row: &Row) -> Option<String> {
     let saves = row.time_part.min(row.touched_part.unwrap_or(1.0)) <= 2.0 / 3.0;
     (row.cell > 0.0 && saves && row.lost_db < MOST_LOST).then(|| {
         format!(
-            "{}, {}, {} samples a pixel: clusters of {} samples pay: {:.2} of the time, {:.2} of the bytes, {:.2} dB lost",
+            "{}, {}, {} a pixel: clusters of {} samples pay: {:.2} of the time, {:.2} of the bytes, {:.2} dB lost",
             row.model,
             row.view,
-            row.samples,
+            counted(row.samples, "sample"),
             row.cell,
             row.time_part,
             row.touched_part.unwrap_or(f64::NAN),
@@ -335,7 +340,7 @@ fn plot(rows: &[Row], samples: u32, title: &'static str, part: impl Fn(&Row) -> 
     let bounds =
         [bound([(2.0 / 3.0, lowest), (2.0 / 3.0, MOST_LOST)]), bound([(0.0, MOST_LOST), (2.0 / 3.0, MOST_LOST)])];
     Plot {
-        title: format!("{samples} samples a pixel"),
+        title: format!("{} a pixel", counted(samples, "sample")),
         x: Axis { title, label: plain, range: Some(0.0..1.2) },
         y: Axis { title: "dB lost", label: plain, range: Some(lowest..highest) },
         series: series.chain(bounds).collect(),
