@@ -74,7 +74,8 @@ fn a_stand_in_as_coarse_as_samples_reads_less_and_shows_about_the_same() {
     assert!(number(fine, "lost_db") < number(coarse, "lost_db"), "{text}");
     for stand_in in [fine, coarse] {
         assert!(number(stand_in, "triangles") < number(itself, "triangles"), "{text}");
-        if cfg!(target_os = "linux") {
+        // Empty where the system does not tell, or keeps files in memory.
+        if !field(itself, "touched_mb").is_empty() {
             let part = number(stand_in, "touched_mb") / number(itself, "touched_mb");
             assert!(part < 0.9 && (part - number(stand_in, "touched_part")).abs() < 1e-6, "{text}");
         }

@@ -6,12 +6,14 @@
 //! In each round the camera moves in steps, each of which waits for its frame; then another render server comes, without the
 //! model, and the camera moves on while that one fetches. It never renders: it is killed before it has all of the file. All
 //! programs share the cores of this machine, so the transfer also takes CPU time that it would take elsewhere.
+//! `tests/link.sh` puts render servers behind a slow link.
 
 use std::{
     fs,
+    net::SocketAddr,
     path::{Path, PathBuf},
     process::Command,
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use anyhow::{Context, anyhow, ensure};
@@ -56,18 +58,28 @@ struct Args {
     /// How frames are divided among render servers: interleaved, tiled or dynamic
     #[arg(long, default_value_t = Division::Dynamic)]
     division: Division,
+    /// The address to listen on, for example in a network namespace with a link of limited rate
+    #[arg(long, default_value = "127.0.0.1:0")]
+    listen: SocketAddr,
+    /// The command that starts render servers, for example "ip netns exec other"
+    #[arg(long, default_value = "")]
+    through: String,
 }
 
 /// The wall and the machine of the newcomer, as far as files go.
 struct Machines {
     wall: PathBuf,
     far: PathBuf,
+    /// The words of a command that starts render servers, if any.
+    through: String,
 }
 
 impl Machines {
     fn server(&self, name: &str, folder: &Path, address: &str, options: &[&str]) -> anyhow::Result<ServerProcess> {
-        let mut command = Command::new(renderer_program()?);
-        command.args(["connect", address, "--insecure", "--threads", "1", "--name", name]).args(options);
+        let program = renderer_program()?.display().to_string();
+        let mut words = self.through.split_whitespace().chain([program.as_str()]);
+        let mut command = Command::new(words.next().context("the last word is the program")?);
+        command.args(words).args(["connect", address, "--insecure", "--threads", "1", "--name", name]).args(options);
         command.current_dir(folder).env("XDG_CACHE_HOME", folder.join("cache")).env("RUST_LOG", "error");
         ServerProcess::spawn(name.to_owned(), &mut command)
     }
@@ -91,22 +103,18 @@ impl Wall {
         loop {
             let frame = self.farm.next_frame()?;
             if frame.spec == spec {
-                return Ok((milliseconds(moved_at.elapsed()), !frame.stats.fetching.is_empty()));
+                let is_travelling = frame.stats.fetching.iter().any(|node| node.transfer.n_done > 0);
+                return Ok((milliseconds(moved_at.elapsed()), is_travelling));
             }
         }
     }
 
-    /// Waits until a render server fetches, or none does any more.
-    fn wait_for_transfer(&self, is_wanted: bool) -> anyhow::Result<()> {
+    /// Moves the camera until a scene file is under way, or until none is any more: while it rests, one travels faster.
+    fn move_until(&mut self, is_wanted: bool) -> anyhow::Result<()> {
         let started_at = Instant::now();
-        let is_under_way = || {
-            let nodes = self.farm.farm.status().nodes;
-            nodes.iter().any(|node| node.transfer().is_some_and(|transfer| transfer.transfer.n_done > 0))
-        };
-        while is_under_way() != is_wanted {
+        while self.step()?.1 != is_wanted {
             let status = || self.farm.farm.status();
             ensure!(started_at.elapsed() < TIMEOUT, "waited in vain for a transfer to begin or end: {:?}", status());
-            self.farm.wait(Duration::from_millis(5));
         }
         Ok(())
     }
@@ -116,7 +124,7 @@ fn main() -> anyhow::Result<()> {
     let args: Args = renderer::cli::parse();
     let folder = tempfile::tempdir()?;
     let [wall, far] = ["wall", "far"].map(|name| folder.path().join(name));
-    let machines = Machines { wall, far };
+    let machines = Machines { wall, far, through: args.through };
     fs::create_dir(&machines.wall)?;
     let model = machines.wall.join("statue.ply");
     ply::write(&model, &statue::generate(args.triangles, &|_| ()))?;
@@ -134,7 +142,7 @@ fn main() -> anyhow::Result<()> {
     let mut servers = Vec::new();
     // Dropped first: a farm that ends before its render servers reports no loss.
     let mut wall = Wall {
-        farm: MeasuredFarm::start(([127, 0, 0, 1], 0).into(), goal)?,
+        farm: MeasuredFarm::start(args.listen, goal)?,
         spec: frame_spec(info.id, camera, args.size),
         pivot: (min + max) * 0.5,
         up: info.shape.up,
@@ -162,10 +170,10 @@ fn main() -> anyhow::Result<()> {
             let newcomer = if kind == 1 {
                 fs::create_dir_all(&machines.far)?;
                 let newcomer = machines.server("far", &machines.far, &address, &[])?;
-                wall.wait_for_transfer(true)?;
+                wall.move_until(true)?;
                 Some(newcomer)
             } else {
-                wall.wait_for_transfer(false)?;
+                wall.move_until(false)?;
                 None
             };
             for _ in 0..args.frames {

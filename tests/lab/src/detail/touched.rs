@@ -9,7 +9,7 @@ use anyhow::Result;
 const PAGE: usize = 4096;
 
 /// Bytes of the pages of a file that `read` reads through the file's mapping in this process; `None` where the system does not
-/// tell. `read` gets a cold mapping: no page of the file is in memory, and none is read ahead.
+/// tell, or keeps the file in memory. `read` gets a cold mapping: no page of the file is in memory, and none is read ahead.
 #[cfg(target_os = "linux")]
 pub(super) fn touched_bytes<T>(path: &Path, map: impl Fn() -> Result<T>, read: impl FnOnce(&T)) -> Result<Option<u64>> {
     use std::{fs::File, os::fd::AsRawFd};
@@ -27,6 +27,9 @@ pub(super) fn touched_bytes<T>(path: &Path, map: impl Fn() -> Result<T>, read: i
     let is_dropped = unsafe { libc::posix_fadvise(file.as_raw_fd(), 0, 0, libc::POSIX_FADV_DONTNEED) } == 0;
     ensure!(is_random && is_dropped, "{}: the system takes no advice about its pages", path.display());
     let before = resident_bytes(address, n_bytes)?;
+    if before > n_bytes as u64 / 2 {
+        return Ok(None);
+    }
     read(&mapped);
     let after = resident_bytes(address, n_bytes)?;
     Ok(Some(after.saturating_sub(before)))
@@ -79,7 +82,7 @@ mod tests {
 
     #[test]
     fn the_pages_that_are_read_count_and_no_others() {
-        // Pages of a file system in memory cannot be dropped.
+        // A disk, unlike the folder for temporary files on many machines.
         let folder = tempfile::tempdir_in(std::env::current_exe().unwrap().parent().unwrap()).unwrap();
         let path = folder.path().join("statue.raywall");
         let source = SceneSource::Statue { triangles: 300_000 };
@@ -94,9 +97,12 @@ mod tests {
                     let _ = stored.scene.probe(&whole, [0.4 + 0.2 * ray as f32 / n_rays as f32, 0.5], None);
                 });
             };
-            touched_bytes(&path, || scenes.load(&path), read).unwrap().expect("Linux tells")
+            touched_bytes(&path, || scenes.load(&path), read).unwrap()
         };
-        let [none, one, many] = [0, 1, 1000].map(touched);
+        let [Some(none), Some(one), Some(many)] = [0, 1, 1000].map(touched) else {
+            println!("skipped: the file system of {} keeps files in memory", path.display());
+            return;
+        };
         assert_eq!(none, 0);
         assert!((PAGE as u64..n_bytes / 20).contains(&one), "{one} of {n_bytes}");
         assert!(many > 2 * one && many < n_bytes, "{many} of {n_bytes}");
