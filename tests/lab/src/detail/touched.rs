@@ -8,6 +8,10 @@ use anyhow::Result;
 #[cfg(target_os = "linux")]
 const PAGE: usize = 4096;
 
+/// A file that is no longer may be read, and mapped, whole as it is opened.
+#[cfg(target_os = "linux")]
+const READ_AT_ONCE: u64 = 1 << 20;
+
 /// Bytes of the pages of a file that `read` reads through the file's mapping in this process; `None` where the system does not
 /// tell, or keeps the file in memory. `read` gets a cold mapping: no page of the file is in memory, and none is read ahead.
 #[cfg(target_os = "linux")]
@@ -27,7 +31,7 @@ pub(super) fn touched_bytes<T>(path: &Path, map: impl Fn() -> Result<T>, read: i
     let is_dropped = unsafe { libc::posix_fadvise(file.as_raw_fd(), 0, 0, libc::POSIX_FADV_DONTNEED) } == 0;
     ensure!(is_random && is_dropped, "{}: the system takes no advice about its pages", path.display());
     let before = resident_bytes(address, n_bytes)?;
-    if before > n_bytes as u64 / 2 {
+    if before > n_bytes as u64 / 2 + READ_AT_ONCE {
         return Ok(None);
     }
     read(&mapped);
