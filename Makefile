@@ -2,7 +2,7 @@
 
 CARGO ?= cargo
 
-.PHONY: run test soak stability setup setup-test format clippy docs bench mitsuba fuzz test-slurm
+.PHONY: run test soak stability setup setup-test format clippy docs bench large mitsuba fuzz test-slurm
 
 # The wall, with the built-in model and two local render servers; without a display it goes to wall.png.
 run: setup
@@ -47,6 +47,14 @@ bench:
 		echo "== $$options" && \
 		$(CARGO) run --release --quiet -p lab -- trace --triangles $(BENCH_TRIANGLES) --threads 1 --frames 20 $$options || exit 1; \
 	done
+
+# Very large models: building, starting, frames and memory. It says first what it needs, and ends if this machine lacks that;
+# `make test` measures a small one.
+LARGE_TRIANGLES ?= 10000000,100000000
+LARGE_FLAGS ?=
+large:
+	$(CARGO) build --release
+	$(CARGO) run --release -p lab -- large --triangles $(LARGE_TRIANGLES) $(LARGE_FLAGS)
 
 # Path-traced light beside that of Mitsuba 3, which it installs from PyPI into target/mitsuba.
 MODEL ?= target/statue.ply

@@ -31,3 +31,8 @@ echo "== 100mbit, motions"
 for nodes in 1 4; do
     target/release/examples/motion_delay --nodes $nodes --listen 10.99.0.1:0 --through "ip netns exec $far"
 done
+
+ip netns exec $far tc qdisc replace dev raywall-peer root tbf rate 680mbit burst 256kb latency 20ms
+tc qdisc replace dev raywall-near root tbf rate 680mbit burst 256kb latency 20ms
+echo "== 680mbit both ways, frames while a scene travels"
+target/release/examples/transfer_delay --rounds 24 --frames 80 --listen 10.99.0.1:0 --through "ip netns exec $far"

@@ -157,6 +157,31 @@ fn a_transfer_that_is_cut_goes_on_where_it_was_and_a_wrong_chunk_is_refused() {
 }
 
 #[test]
+fn a_part_that_a_node_leaves_is_listed_and_cleared() {
+    let machines = Machines::new();
+    let (mut wall, address) = machines.wall(&["--local", "0", "--frames", "1000000"]);
+    let sent: Arc<[AtomicUsize; 8]> = Arc::default();
+    // Each transfer brings two chunks.
+    let far = proxy::start_cutting(&address, 16 * 1024, move |number, direction, bytes| {
+        let is_counted = number > 0 && direction == Direction::ToServer;
+        !is_counted || sent[number.min(7)].fetch_add(bytes.len(), SeqCst) < 2 * CHUNK + CHUNK / 2
+    });
+    let node = machines.node(&far, &[]);
+    wall.wait_for("render server far cannot render yet: it cannot fetch ");
+    drop(node);
+    let cache = |args: &[&str]| {
+        let mut command = machines.on("node", Program::command("renderer"));
+        command.arg("cache").args(args);
+        Program::succeed(command)
+    };
+    let listed = cache(&[]);
+    let is_told = listed.starts_with("fetched from a wall in part: 2499") && listed.contains(" MB of 19 MB, used ");
+    assert!(is_told && listed.contains(": 0 scenes, 1 part, "), "{listed}");
+    assert!(cache(&["--clear"]).contains(" MB are free again") && machines.in_cache("fetch").is_empty());
+    assert!(cache(&[]).contains(": 0 scenes, 0 B of at most"), "{}", cache(&[]));
+}
+
+#[test]
 fn a_file_that_is_damaged_at_the_wall_is_made_again() {
     let machines = Machines::new();
     assert!(machines.wall(&["--local", "1", "--frames", "1"]).0.wait().0.success());

@@ -45,6 +45,8 @@ mod guard;
 #[cfg(all(test, target_os = "linux"))]
 mod http;
 #[cfg(test)]
+mod large;
+#[cfg(test)]
 mod liars;
 #[cfg(test)]
 mod lighting;

@@ -61,6 +61,20 @@ pub struct CachedScene {
     pub used_at: SystemTime,
 }
 
+/// A scene that was fetched from a wall in part.
+#[derive(Clone, Debug)]
+pub struct CachedPart {
+    path: PathBuf,
+    /// Bytes of the whole file, and triangles of its model; `None` before its head is there.
+    pub whole: Option<(u64, usize)>,
+    /// Bytes that are there.
+    pub n_bytes: u64,
+    /// When a program used it last.
+    pub used_at: SystemTime,
+    /// Whether a program fetches the rest.
+    pub is_arriving: bool,
+}
+
 impl Cache {
     /// The user's cache, whose folder is made if it is not there; `None` where the system has none. See [`Cache::at`].
     ///
@@ -138,7 +152,7 @@ impl Cache {
         let Some(left) = self.most_bytes.checked_sub(n_bytes) else { return false };
         self.drop_parts(Some(&Self::lock_of(path)));
         let own = [path, &Self::part_of(path)];
-        let parts = files(&self.folder, FETCH_ENDING).filter(|part| !Lock::is_held(&Self::lock_of(part)));
+        let parts = files(&self.folder, FETCH_ENDING).filter(|part| !is_locked(part));
         let others = scenes(&self.folder).chain(parts).filter(|other| !own.contains(&other.as_path()));
         let mut others: Vec<_> = others.filter_map(aged).collect();
         others.sort_by_key(|(_, _, used_at)| *used_at);
@@ -171,6 +185,18 @@ impl Cache {
         scenes
     }
 
+    /// All scenes that were fetched in part, the last used first.
+    pub fn parts(&self) -> Vec<CachedPart> {
+        let part = |(path, n_bytes, used_at): (PathBuf, u64, SystemTime)| {
+            let whole = SceneFile::beginning(&path).map(|(n_bytes, info)| (n_bytes, info.n_triangles));
+            let is_arriving = is_locked(&path);
+            CachedPart { path, whole, n_bytes, used_at, is_arriving }
+        };
+        let mut parts: Vec<_> = files(&self.folder, FETCH_ENDING).filter_map(aged).map(part).collect();
+        parts.sort_by_key(|part| std::cmp::Reverse(part.used_at));
+        parts
+    }
+
     /// Removes the files that builders were writing when they were killed, and returns their bytes. Removes none while a
     /// process builds, other than the caller, whose own lock this is.
     fn drop_parts(&self, own: Option<&Path>) -> u64 {
@@ -184,19 +210,18 @@ impl Cache {
         parts.iter().map(|(_, n_bytes, _)| n_bytes).sum()
     }
 
-    /// Removes all scenes and seals, and what killed builders left; returns the bytes that are free again once no process
-    /// uses them.
+    /// Removes all scenes and seals, the parts of scenes that nobody fetches now, and what killed builders left; returns the
+    /// bytes that are free again once no process uses them.
     pub fn clear(&self) -> u64 {
         let n_part_bytes = self.drop_parts(None);
         let scenes = self.scenes();
         scenes.iter().for_each(|scene| remove(&scene.path));
-        // One that is being fetched stays.
-        let parts = files(&self.folder, FETCH_ENDING).filter(|part| !Lock::is_held(&Self::lock_of(part)));
-        let parts: Vec<_> = parts.filter_map(aged).collect();
-        parts.iter().for_each(|(path, ..)| remove(path));
+        let mut parts = self.parts();
+        parts.retain(|part| !part.is_arriving);
+        parts.iter().for_each(|part| remove(&part.path));
         self.seals.clear();
         let of_scenes: u64 = scenes.iter().map(|scene| scene.n_bytes).sum();
-        of_scenes + parts.iter().map(|(_, n_bytes, _)| n_bytes).sum::<u64>() + n_part_bytes
+        of_scenes + parts.iter().map(|part| part.n_bytes).sum::<u64>() + n_part_bytes
     }
 }
 
@@ -221,6 +246,11 @@ fn is_private(folder: &Path) -> io::Result<bool> {
     }
     #[cfg(not(unix))]
     Ok(metadata.is_dir())
+}
+
+/// Whether a process builds or fetches the scene of a path.
+fn is_locked(path: &Path) -> bool {
+    Lock::is_held(&Cache::lock_of(path))
 }
 
 /// The scenes in a folder.

@@ -123,6 +123,22 @@ impl SceneFile {
         Ok(Self { file, metadata, head, record })
     }
 
+    /// The bytes of the whole file, and the facts of its model, of a file whose end may be missing; `None` if its head is not
+    /// there, or is damaged.
+    pub(crate) fn beginning(path: &Path) -> Option<(u64, ModelInfo)> {
+        let mut file = files::open(path).ok()?;
+        let mut prefix = [0; PREFIX_BYTES];
+        file.read_exact(&mut prefix).ok()?;
+        let Extent { n_head_bytes, n_bytes, .. } = Extent::of(&prefix).ok()?;
+        // Before anything is allocated.
+        if file.metadata().ok()?.len() < n_head_bytes as u64 {
+            return None;
+        }
+        file.seek(SeekFrom::Start(0)).ok()?;
+        let head = read_head(&mut file, n_bytes as u64).ok()?;
+        Some((n_bytes as u64, read_record(&head).ok()?.info))
+    }
+
     /// The state of the file.
     pub(crate) fn stamp(&self) -> Stamp {
         Stamp::of(&self.metadata)

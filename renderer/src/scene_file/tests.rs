@@ -415,6 +415,28 @@ fn what_a_killed_builder_leaves_is_removed_once_nobody_builds() {
     assert!(cache.clear() == 100 && !part.exists());
 }
 
+#[test]
+fn a_part_of_a_scene_file_tells_of_the_whole_and_is_removed_once_nobody_fetches_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = Cache::at(folder.path().to_owned(), 1000).unwrap();
+    let (info, mut scene) = scene_of(statue::generate(3000, &|_| ()), &GridOptions::default());
+    let whole = file::to_bytes(&mut scene, &info).unwrap();
+    let part = folder.path().join("fetched-x.fetch");
+    let lock = lock::Lock::take(&Cache::lock_of(&part), &|_| ()).unwrap();
+    // Before its head, then with it, then with all but the last byte.
+    let head = whole.len() - scene.n_bytes() / 2;
+    for (n_bytes, is_known) in [(0, false), (100, false), (head, true), (whole.len() - 1, true)] {
+        fs::write(&part, &whole[..n_bytes]).unwrap();
+        let parts = cache.parts();
+        let expected = is_known.then_some((whole.len() as u64, info.n_triangles));
+        assert_eq!((parts.len(), parts[0].whole, parts[0].n_bytes), (1, expected, n_bytes as u64));
+        assert!(parts[0].is_arriving && cache.clear() == 0 && cache.scenes().is_empty());
+    }
+    drop(lock);
+    assert!(!cache.parts()[0].is_arriving);
+    assert!(cache.clear() == whole.len() as u64 - 1 && !part.exists() && cache.parts().is_empty());
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn a_scene_file_on_another_disk_than_the_cache_is_read_and_never_sealed() {

@@ -33,6 +33,7 @@ use shared::{
 };
 
 use self::peers::Peer;
+pub(crate) use self::picture::{FIRST_REFERENCE_SAMPLE, psnr};
 use crate::{files, plot::Figure};
 
 /// The charts, and the folder of their files.

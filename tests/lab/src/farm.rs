@@ -93,6 +93,14 @@ impl MeasuredFarm {
     }
 }
 
+/// The program `renderer`, which is built beside the laboratory's program or its examples.
+pub fn renderer_program() -> anyhow::Result<PathBuf> {
+    let own = std::env::current_exe()?;
+    let folder = own.parent().context("a program lies in a folder")?;
+    let folder = if folder.ends_with("examples") { folder.parent().unwrap_or(folder) } else { folder };
+    Ok(folder.join("renderer").with_extension(std::env::consts::EXE_EXTENSION))
+}
+
 /// A render server with one thread; its process ends when this is dropped.
 pub struct ServerProcess {
     /// The name that it joins with.
@@ -104,17 +112,18 @@ impl ServerProcess {
     /// Starts the program `renderer`, built beside the examples, for the wall at `address`. `launcher` holds the words of
     /// a command that starts it, if any.
     pub fn start(name: String, address: SocketAddr, launcher: &str, options: &[&str]) -> anyhow::Result<Self> {
-        let example = std::env::current_exe()?;
-        let folder = example.ancestors().nth(2).context("an example lies in target/release/examples")?;
-        let program = folder.join("renderer").display().to_string();
+        let program = renderer_program()?.display().to_string();
         let mut words = launcher.split_whitespace().chain([program.as_str()]);
-        let process = Command::new(words.next().context("the last word is the program")?)
-            .args(words)
-            .args(["connect", &address.to_string(), "--insecure", "--threads", "1", "--name", &name])
-            .args(options)
-            .env("RUST_LOG", "error")
-            .spawn()
-            .with_context(|| format!("{program} does not start: build it with cargo build --release"))?;
+        let mut command = Command::new(words.next().context("the last word is the program")?);
+        command.args(words).args(["connect", &address.to_string(), "--insecure", "--threads", "1", "--name", &name]);
+        Self::spawn(name, command.args(options).env("RUST_LOG", "error"))
+    }
+
+    /// Starts a command that is a render server of this name.
+    pub fn spawn(name: String, command: &mut Command) -> anyhow::Result<Self> {
+        let process = command.spawn().with_context(|| {
+            format!("{} does not start: build it with cargo build --release", command.get_program().display())
+        })?;
         Ok(Self { name, process })
     }
 

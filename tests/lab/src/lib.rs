@@ -1,13 +1,15 @@
 //! The laboratory: everything that measures and compares, and nothing that a wall needs. It measures the programs' own
 //! code.
 //!
-//! [`mod@bench`], [`chart`], [`stability`] and [`trace`] are its commands; [`farm`] and [`light`] serve the examples. [`files`], [`plot`],
+//! [`mod@bench`], [`chart`], [`detail`], [`large`], [`stability`] and [`trace`] are its commands; [`farm`] and [`light`] serve the examples. [`files`], [`plot`],
 //! [`random`], [`statistics`] and [`vector`] serve all of them.
 
 mod bench;
 mod chart;
+mod detail;
 pub mod farm;
 mod files;
+mod large;
 pub mod light;
 mod plot;
 mod random;
@@ -19,7 +21,10 @@ mod vector;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::{bench::BenchArgs, chart::ChartArgs, stability::StabilityArgs, trace::TraceArgs};
+use crate::{
+    bench::BenchArgs, chart::ChartArgs, detail::DetailArgs, large::LargeArgs, stability::StabilityArgs,
+    trace::TraceArgs,
+};
 
 /// Measures what a display wall runs
 #[derive(Debug, Parser)]
@@ -39,6 +44,10 @@ pub enum Command {
     Stability(StabilityArgs),
     /// Repeat the paper's experiment: bytes and time per frame by division and number of render servers
     Bench(BenchArgs),
+    /// Measure what a coarser stand-in for a very fine model would save, and what it costs
+    Detail(DetailArgs),
+    /// Measure very large models: building, starting, frames and memory
+    Large(LargeArgs),
     /// Trace frames without a network, and measure them
     Trace(Box<TraceArgs>),
     /// Run a render server: `lab bench` starts them
@@ -54,6 +63,8 @@ pub fn run(command: Command) -> Result<()> {
     match command {
         Command::Bench(args) => bench::run(&args),
         Command::Chart(args) => chart::run(&args),
+        Command::Detail(args) => detail::run(&args),
+        Command::Large(args) => large::run(&args),
         Command::Stability(args) => stability::run(&args),
         Command::Trace(args) => trace::run(&args),
         Command::Renderer(command) => renderer::cli::run(*command),

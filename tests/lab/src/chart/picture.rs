@@ -53,7 +53,7 @@ pub(super) struct PictureRow {
 }
 
 /// First sample of the reference: frames and reference have no sample in common.
-const FIRST_REFERENCE_SAMPLE: u32 = 1 << 20;
+pub(crate) const FIRST_REFERENCE_SAMPLE: u32 = 1 << 20;
 
 /// Measures all settings with one camera. `done` gets each row, and the fraction done.
 pub(super) fn measure(
@@ -151,7 +151,8 @@ pub(super) fn flip(reference: &[u8], picture: &[u8], size: FrameSize) -> f64 {
     f64::from(FlipPool::from_image(&errors).mean())
 }
 
-fn psnr(reference: &[u8], picture: &[u8]) -> f64 {
+/// In decibels; infinite for equal pictures.
+pub(crate) fn psnr(reference: &[u8], picture: &[u8]) -> f64 {
     let squares = reference.iter().zip(picture).map(|(&a, &b)| u64::from(a.abs_diff(b)).pow(2));
     let mean = squares.sum::<u64>() as f64 / reference.len() as f64;
     10.0 * (255.0 * 255.0 / mean).log10()
