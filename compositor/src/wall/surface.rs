@@ -139,6 +139,22 @@ impl Surface {
         }
     }
 
+    /// A point before the wall from which all points at a height are seen: on the axis, or between the planes.
+    pub(crate) fn middle(&self, height_m: f64) -> DVec3 {
+        match self {
+            Self::Cylinder { radius_m, .. } => DVec3::new(0.0, height_m, *radius_m),
+            Self::Fold { .. } => DVec3::new(0.0, height_m, 1.0),
+        }
+    }
+
+    /// The same wall of another size, with its middle or edge at another distance from the canvas's left edge.
+    pub(crate) fn scaled(&self, scale: f64, at_m: f64) -> Self {
+        match *self {
+            Self::Cylinder { radius_m, .. } => Self::Cylinder { radius_m: scale * radius_m, at_m },
+            Self::Fold { angle, .. } => Self::Fold { at_m, angle },
+        }
+    }
+
     /// The direction away from the fold, on one of its planes: x and z.
     fn away(&self, is_right: bool) -> DVec2 {
         let Self::Fold { angle, .. } = self else { return DVec2::X };

@@ -16,6 +16,9 @@ const OPTICS: &str = "[optics]\ngamma = 2.2\nblack_level = 0.004\n";
 const TURNED: &str = "[[projector]]\nname = \"row 1 column 2\"\nrotation = 180\ngain = [0.9, 1.0, 0.8]\n\
                       [[projector]]\nname = \"row 1 column 3\"\nflip = \"horizontal\"\n";
 
+/// One projector hangs upside down.
+pub(crate) const UPSIDE_DOWN: &str = "[[projector]]\nname = \"row 1 column 2\"\nrotation = 180\n";
+
 /// A quarter of a cylinder, three projectors.
 pub(crate) fn cylinder(pixels: [u32; 2], keys: [&str; 2]) -> Rig {
     let radius = 2.0;
