@@ -244,7 +244,7 @@ pub fn mpcdi(data: &[u8]) {
         Profile::Picture => return,
         Profile::View => view::places(None, &rough).map(|(places, _)| vec![places]),
         Profile::Space => {
-            let shapes = [Shape::Flat, Shape::Cylinder, Shape::Fold];
+            let shapes = [Shape::Flat, Shape::Cylinder, Shape::Fold, Shape::Dome];
             Ok(shapes.iter().filter_map(|shape| Some(points::places(*shape, &rough).ok()?.0)).collect())
         }
     };

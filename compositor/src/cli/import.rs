@@ -20,7 +20,7 @@ use crate::{
         points::{self, Shape},
         view,
     },
-    wall::{CANVAS_SIDES_M, Gamma, Projector, Surface, Wall},
+    wall::{CANVAS_SIDES_M, Gamma, Projector, Surface, Unrolling, Wall},
 };
 
 /// Makes a wall file, and a mesh file for each projector, of an MPCDI file
@@ -46,7 +46,7 @@ pub struct ImportArgs {
 
 impl clap::ValueEnum for Shape {
     fn value_variants<'a>() -> &'a [Self] {
-        &[Self::Flat, Self::Cylinder, Self::Fold]
+        &[Self::Flat, Self::Cylinder, Self::Fold, Self::Dome]
     }
 
     fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
@@ -54,6 +54,7 @@ impl clap::ValueEnum for Shape {
             Self::Flat => ("flat", "A plane"),
             Self::Cylinder => ("cylinder", "An upright cylinder with the audience inside"),
             Self::Fold => ("fold", "Two planes that meet at an upright edge"),
+            Self::Dome => ("dome", "A part of a sphere, unrolled around its middle"),
         };
         Some(clap::builder::PossibleValue::new(name).help(help))
     }
@@ -194,7 +195,7 @@ fn laid(args: &ImportArgs, archive: &mut Archive<File>, document: &Mpcdi) -> any
     };
     let canvas_m = (scale * size).to_array();
     canvas_m.iter().try_for_each(|side| check_side("a side of the canvas", *side))?;
-    let surface = shape.map(|surface| surface.scaled(scale, -scale * least.x));
+    let surface = shape.map(|surface| surface.scaled(scale, -scale * least));
     Ok(Laid { places, rect, canvas_m, surface, line })
 }
 
@@ -204,6 +205,7 @@ fn unit_surface(args: &ImportArgs) -> anyhow::Result<Option<Surface>> {
     Ok(match (args.shape, args.angle) {
         (Shape::Flat, _) => None,
         (Shape::Cylinder, _) => Some(Surface::Cylinder { radius_m: 1.0, at_m: 0.0 }),
+        (Shape::Dome, _) => Some(Surface::Dome { radius_m: 1.0, at_m: [0.0; 2], unrolled: Unrolling::Azimuthal }),
         (Shape::Fold, Some(angle)) => {
             ensure!((30.0..180.0).contains(&angle), "--angle is {angle}: give degrees from 30 to less than 180");
             Some(Surface::Fold { at_m: 0.0, angle })

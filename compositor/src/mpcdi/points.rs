@@ -4,14 +4,14 @@
 //! the right and Z towards the audience, or Z up. The axes are those by which projectors show their pictures upright and not
 //! mirrored on a wall of the shape.
 
-use glam::{DAffine3, DMat3, DVec2, DVec3};
+use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3};
 
 use super::{
     canvas::{Places, Rough},
     convert::{self, Source},
     document::Region,
 };
-use crate::wall::{Flip, Rotation, Surface};
+use crate::wall::{Flip, Rotation, Surface, Unrolling};
 
 /// The shape of a wall, without sizes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,6 +22,8 @@ pub enum Shape {
     Cylinder,
     /// Two planes that meet at an upright edge.
     Fold,
+    /// A part of a sphere, unrolled around its middle.
+    Dome,
 }
 
 /// To the right, up, and towards the audience, in the axes of a file.
@@ -148,6 +150,12 @@ impl Shape {
                 let origin = DVec3::new(edge.x, 0.0, edge.y);
                 (surface_from_room(origin, towards)?, Some(Surface::Fold { at_m: 0.0, angle }))
             }
+            Self::Dome => {
+                let (middle, radius_m) = sphere(points, centre)?;
+                let towards = (middle - centre).normalize_or_zero();
+                let surface = Surface::Dome { radius_m, at_m: [0.0; 2], unrolled: Unrolling::Azimuthal };
+                (surface_from_room(middle - radius_m * towards, towards)?, Some(surface))
+            }
         };
         Some(fitted).filter(|(map, _)| map.is_finite())
     }
@@ -191,6 +199,20 @@ fn circle(points: impl Iterator<Item = DVec2> + Clone) -> Option<(DVec2, f64)> {
     let centre = solved.truncate() / 2.0;
     let radius = (solved.z + centre.length_squared()).sqrt();
     (radius.is_finite() && radius > 0.0).then_some((mean + centre, radius))
+}
+
+/// Centre and radius of the sphere through points around a place, in the same way.
+fn sphere(points: &[DVec3], around: DVec3) -> Option<(DVec3, f64)> {
+    let (mut matrix, mut right) = (DMat4::ZERO, glam::DVec4::ZERO);
+    for point in points.iter().map(|point| *point - around) {
+        let row = point.extend(1.0);
+        matrix += DMat4::from_cols(row * row.x, row * row.y, row * row.z, row * row.w);
+        right += row * point.length_squared();
+    }
+    let solved = matrix.inverse() * right;
+    let centre = solved.truncate() / 2.0;
+    let radius = (solved.w + centre.length_squared()).sqrt();
+    (radius.is_finite() && radius > 0.0).then_some((around + centre, radius))
 }
 
 /// Two lines through points: where they meet, the direction between them, and their angle in degrees.
