@@ -42,13 +42,18 @@ impl Unrolled {
         surface.met(centre, of(turn) * (surface.in_space(place) - centre)).unwrap_or(place)
     }
 
+    /// Where the solved wall has it, because projectors were held there.
+    pub(super) fn as_solved() -> Self {
+        Self { centre: DVec2::ZERO, scale: 1.0, by_m: DVec2::ZERO, turn: None }
+    }
+
     /// Where the wall file has the canvas, on average.
     pub(super) fn kept(wall: &Wall, surface: Surface, solution: &BentSolution) -> Self {
         let of_projector = |(index, projector)| {
             solution.crossings(index).map(move |[px, place]| [place_in_file(wall, projector, px), place])
         };
         let pairs: Vec<[DVec2; 2]> = wall.projectors().iter().enumerate().flat_map(of_projector).collect();
-        let mut unrolled = Self { centre: DVec2::ZERO, scale: 1.0, by_m: DVec2::ZERO, turn: None };
+        let mut unrolled = Self::as_solved();
         let median_of =
             |it: &Self, axis: usize| median(pairs.iter().map(|pair| (pair[1] - it.solved(pair[0]))[axis]).collect());
         match surface {
