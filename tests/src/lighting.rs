@@ -142,7 +142,8 @@ fn a_phone_s_jpegs_from_three_places_even_out_a_wall_of_twelve() {
     assert!(faults.is_empty(), "{faults:?}\n{found:#?}");
     let wall = wall.unwrap();
     let after = shown(&rig, &wall);
-    assert!(after.seam < 0.012 && after.uneven < 0.03, "{after:?}");
+    // Projectors of so few pixels have few squares.
+    assert!(after.seam < 0.02 && after.uneven < 0.02, "{after:?}");
     for (stands, projector) in rig.projectors.iter().zip(wall.projectors()) {
         let compositor::wall::Gamma::Power(exponent) = projector.gamma else { panic!("{:?}", projector.gamma) };
         let expected = stands.light.curve[128].ln() / (128.0_f64 / 255.0).ln();

@@ -171,7 +171,9 @@ fn laid(args: &ImportArgs, archive: &mut Archive<File>, document: &Mpcdi) -> any
     ensure!(args.height.is_none(), "--height follows from --width in a file of this profile: leave it out");
     let (mut warps, mut maps) = (Vec::new(), Vec::new());
     for region in &document.regions {
-        warps.push(canvas::thin(region, &archive.warp(&region.warp).map_err(fault)?));
+        let warp = archive.warp(&region.warp).map_err(fault)?;
+        convert::check(region, &warp).map_err(fault)?;
+        warps.push(canvas::thin(region, &warp));
         let map = region.alpha.as_ref().filter(|(path, _)| !path.is_empty());
         maps.push(map.map(|(path, gamma)| archive.light(path, *gamma)).transpose().map_err(fault)?);
     }

@@ -143,8 +143,8 @@ impl Rough<'_> {
             }
             for first in 0..columns {
                 let mut lowest = usize::MAX;
-                for last in first..columns {
-                    lowest = lowest.min(heights[last]);
+                for (last, height) in heights.iter().enumerate().skip(first) {
+                    lowest = lowest.min(*height);
                     let area = lowest * (last + 1 - first);
                     if area > best.0 {
                         best = (area, [first, last + 1, row + 1 - lowest, row + 1]);

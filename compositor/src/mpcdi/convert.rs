@@ -46,9 +46,7 @@ pub fn in_picture(region: &Region) -> impl Fn(DVec3) -> Option<DVec2> + '_ {
 /// The warp makes no mesh.
 pub fn projector(source: Source<'_>, output_at: [u32; 2], mesh_file: &str) -> Result<Projector, String> {
     let fault = |problem: String| format!("region \"{}\": {problem}", source.region.id);
-    if source.warp.values.iter().any(|[u, v, _]| !u.is_finite() || !v.is_finite()) {
-        return Err(fault("its warp has pixels without numbers: export it with a value for each pixel".to_owned()));
-    }
+    check(source.region, source.warp)?;
     let hung = hung(source, output_at);
     let mut last = Err("its warp has no points".to_owned());
     for spacing in SPACINGS {
@@ -66,6 +64,18 @@ pub fn projector(source: Source<'_>, output_at: [u32; 2], mesh_file: &str) -> Re
         }
     }
     Ok(hung.with_mesh(Arc::new(last?)))
+}
+
+/// Refuses warps that leave pixels out; the text names the cure.
+///
+/// # Errors
+/// A pixel has no numbers.
+pub fn check(region: &Region, warp: &Pfm) -> Result<(), String> {
+    // The third number may be an error that was not computed.
+    if warp.values.iter().all(|[u, v, _]| u.is_finite() && v.is_finite()) {
+        return Ok(());
+    }
+    Err(format!("region \"{}\": its warp has pixels without numbers: export it with a value for each pixel", region.id))
 }
 
 /// The same, quickly: with so many control points, and no name for the mesh. `None` if the warp makes none.
