@@ -5,12 +5,13 @@
 //! works out where projectors' pixels lie, with the camera's [`lens`], and `adjust` refines it; [`place`] lays the canvas
 //! there. On a wall that is not flat `bent` solves, `bundle` refines, and `unroll` lays the canvas there and makes meshes.
 //! [`verdict`] says which projectors were found, and whether to believe it, with a [`finding`] on each; `again` aligns a
-//! wall again after a bump. [`light`] finds projectors' light in the same way.
+//! wall again after a bump, `bent_again` one that is not flat. [`light`] finds projectors' light in the same way.
 //! `fitting` has what several of these compute.
 
 mod adjust;
 mod again;
 mod bent;
+mod bent_again;
 mod bent_verdict;
 mod bundle;
 mod crossing;

@@ -26,7 +26,7 @@ use blend::Neighbour;
 pub use fall_off::FallOff;
 pub(crate) use file::CANVAS_SIDES_M;
 pub use projector::{CanvasRect, Flip, Gamma, PixelRect, Projector, Rotation};
-pub use surface::Surface;
+pub use surface::{Surface, Unrolling};
 
 /// A canvas and the projectors that light it; each shows its own part of one frame, which covers the whole canvas.
 ///

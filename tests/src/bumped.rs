@@ -1,6 +1,6 @@
 //! Aligning a wall again after a bump, in the virtual room, by the program, and on the wall.
 
-use std::fs;
+use std::{f64::consts::PI, fs};
 
 use compositor::{
     calibration::{Codebook, Plan, Reading, Verdict, check_again, judge, judge_again},
@@ -10,7 +10,7 @@ use glam::{DVec2, DVec3};
 
 use crate::{
     process::Program,
-    room::{camera::Camera, rig::Rig},
+    room::{bent, camera::Camera, rig::Rig, surface::Surface},
 };
 
 /// A wall of 3×3 projectors whose file has their corners, and a camera that sees all of it.
@@ -167,4 +167,111 @@ fn the_program_aligns_again_draws_a_report_and_says_when_it_cannot() {
     fs::write(&file, "canvas_m = [2.0, 0.75]\n[grid]\ncolumns = 2\nrows = 1\npixels = [256, 192]\n").unwrap();
     let (code, said) = run(&["--again"]);
     assert!(code == Some(1) && said.contains("the file has no corners yet"), "{said}");
+}
+
+/// One hangs upside down, and one projects from behind.
+const HUNG: &str = "[[projector]]\nname = \"row 1 column 2\"\nrotation = 180\n\
+                    [[projector]]\nname = \"row 1 column 3\"\nflip = \"horizontal\"\n";
+
+/// A wall that is not flat, with the meshes of its file, which are true in the room, and a camera that sees all of it.
+struct Bent {
+    rig: Rig,
+    plan: Plan,
+    camera: Camera,
+}
+
+impl Bent {
+    fn new(mut rig: Rig, n_points: [usize; 2]) -> Self {
+        let surface = rig.wall.surface();
+        assert!(
+            check_again(&rig.wall).is_err_and(|fault| fault.contains("not all projectors in the file have meshes"))
+        );
+        rig.wall = rig.true_wall(n_points).with_surface(surface);
+        check_again(&rig.wall).unwrap();
+        let plan = Plan::of_wall(&rig.wall).unwrap();
+        let middle = rig.wall.canvas_m()[0] / 2.0;
+        let camera = rig.camera([1700, 1200], DVec3::new(middle - 0.2, 0.45, 2.5), DVec2::new(middle, 0.37), 0.7);
+        Self { rig, plan, camera }
+    }
+
+    fn again(&mut self, patterns: &[u32]) -> Verdict {
+        let Self { rig, plan, camera } = self;
+        let readings: Vec<Reading> = patterns.iter().map(|pattern| read(rig, plan, camera, *pattern)).collect();
+        judge_again(&rig.wall, plan, &readings)
+    }
+}
+
+#[test]
+fn after_a_bump_curved_and_folded_walls_and_domes_are_aligned_again() {
+    let cylinder = "[surface.cylinder]\nradius_m = 2.0\nat_m = 1.5707963267948966\n";
+    let fold = "[surface.fold]\nat_m = 1.5\nangle = 120.0\n";
+    let dome = "[surface.dome]\nradius_m = 2.2\nat_m = [1.5, 0.375]\n";
+    for (name, rig, n_points) in [
+        ("cylinder", bent::cylinder([384, 288], [cylinder, HUNG]), [33, 25]),
+        ("fold", bent::fold([384, 288], [fold, HUNG]), [385, 73]),
+        ("dome", bent::dome(false, [384, 288], [dome, HUNG]), [33, 25]),
+    ] {
+        let mut it = Bent::new(rig, n_points);
+        for bumped in [1, 0] {
+            let before = it.rig.projectors[bumped].pinhole;
+            it.rig.projectors[bumped].pinhole = before.bumped([0.012, -0.008]);
+            let [_, apart] = it.rig.agreement_of_meshes(&it.rig.wall).0;
+            assert!(apart > 2.0, "{name}: {apart}");
+            // One photograph of the pattern that shows all of it does, if it shows enough of the others.
+            let all: Vec<u32> = (0..it.plan.n_patterns()).collect();
+            let one = [it.plan.whole_in(bumped)];
+            for patterns in [&one[..], &all] {
+                let Verdict { wall, found, faults, projectors } = it.again(patterns);
+                if patterns.len() == 1 && faults.iter().any(|fault| fault.contains("is seen too little to tell")) {
+                    assert!((name, bumped) == ("fold", 0), "{name} {bumped}: {faults:?}");
+                    continue;
+                }
+                assert!(faults.is_empty(), "{name} {bumped}: {faults:?}\n{found:#?}");
+                let moved: Vec<bool> = projectors.iter().map(|finding| finding.moved_px.unwrap() > 0.0).collect();
+                assert_eq!(moved, [0, 1, 2].map(|index| index == bumped), "{name}: {found:?}");
+                let wall = wall.unwrap();
+                // The others keep their files.
+                for (index, (old, new)) in it.rig.wall.projectors().iter().zip(wall.projectors()).enumerate() {
+                    assert_eq!(old.mesh.as_ref().unwrap().file() == new.mesh.as_ref().unwrap().file(), index != bumped);
+                }
+                let ([median, p99], _) = it.rig.agreement_of_meshes(&wall);
+                println!(
+                    "{name}, {} photographs, \"{bumped}\": {median:.3} pixels apart, p99 {p99:.3}",
+                    patterns.len()
+                );
+                assert!(median < 0.1 && p99 < 0.2, "{name}: {median} {p99}");
+            }
+            it.rig.projectors[bumped].pinhole = before;
+        }
+        let Verdict { wall, found, faults, .. } = it.again(&(0..it.plan.n_patterns()).collect::<Vec<_>>());
+        assert!(wall.is_none() && faults.is_empty(), "{name}: {faults:?}");
+        assert!(found.iter().any(|line| line.contains("no projector has moved")), "{found:?}");
+    }
+}
+
+#[test]
+fn on_a_cylinder_a_second_projector_that_moved_is_found_too_and_too_many_are_refused() {
+    let width_m = PI;
+    let surface = Surface::Cylinder { middle: width_m / 2.0, radius: 2.0 };
+    let keys = format!("[surface.cylinder]\nradius_m = 2.0\nat_m = {}\n", width_m / 2.0);
+    let mut it = Bent::new(Rig::on(surface, [width_m, 0.45], 5, [288, 216], 0.01, [&keys, ""]), [25, 19]);
+    let bump = |it: &mut Bent, index: usize, by: [f64; 2]| {
+        it.rig.projectors[index].pinhole = it.rig.projectors[index].pinhole.bumped(by);
+    };
+    bump(&mut it, 2, [0.012, -0.008]);
+    bump(&mut it, 3, [-0.004, 0.005]);
+    let all: Vec<u32> = (0..it.plan.n_patterns()).collect();
+    let Verdict { wall, found, faults, projectors } = it.again(&all);
+    assert!(faults.is_empty(), "{faults:?}\n{found:#?}");
+    let moved: Vec<usize> = (0..5).filter(|index| projectors[*index].moved_px != Some(0.0)).collect();
+    assert_eq!(moved, [2, 3], "{found:#?}");
+    let ([median, p99], _) = it.rig.agreement_of_meshes(&wall.unwrap());
+    println!("two of five: {median:.3} pixels apart, p99 {p99:.3}");
+    assert!(median < 0.1 && p99 < 0.2, "{median} {p99}");
+    bump(&mut it, 0, [0.006, 0.007]);
+    let Verdict { faults, .. } = it.again(&all);
+    assert!(faults.iter().any(|fault| fault.contains("fewer than half may have moved")), "{faults:?}");
+    // No photograph at all.
+    let Verdict { wall, faults, .. } = judge_again(&it.rig.wall, &it.plan, &[]);
+    assert!(wall.is_none() && faults[0].contains("photograph the whole wall"), "{faults:?}");
 }

@@ -204,15 +204,20 @@ fn by_phone(rig: &mut Rig, plan: &Plan) -> Vec<Reading> {
 
 const CYLINDER: &str = "[surface.cylinder]\nradius_m = 2.0\nat_m = 1.5707963\n";
 const FOLD: &str = "[surface.fold]\nat_m = 1.5\nangle = 120.0\n";
+const DOME: &str = "[surface.dome]\nradius_m = 2.2\nat_m = [1.5, 0.375]\n";
+const GLOBE: &str = "[surface.dome]\nradius_m = 2.2\nat_m = [1.5, 0.375]\nunrolled = \"longitude\"\n";
 /// One hangs upside down, and one projects from behind.
 const HUNG: &str = "[[projector]]\nname = \"row 1 column 2\"\nrotation = 180\n\
                     [[projector]]\nname = \"row 1 column 3\"\nflip = \"horizontal\"\n";
 
 #[test]
-fn a_cylinder_and_a_fold_are_aligned_from_a_phone_s_photographs() {
-    for (name, mut rig) in
-        [("cylinder", bent::cylinder([512, 384], [CYLINDER, HUNG])), ("fold", bent::fold([512, 384], [FOLD, HUNG]))]
-    {
+fn a_cylinder_a_fold_and_domes_are_aligned_from_a_phone_s_photographs() {
+    for (name, mut rig) in [
+        ("cylinder", bent::cylinder([512, 384], [CYLINDER, HUNG])),
+        ("fold", bent::fold([512, 384], [FOLD, HUNG])),
+        ("dome", bent::dome(false, [512, 384], [DOME, HUNG])),
+        ("dome by longitude", bent::dome(true, [512, 384], [GLOBE, HUNG])),
+    ] {
         let plan = Plan::of_wall(&rig.wall).unwrap();
         let readings = by_phone(&mut rig, &plan);
         let Verdict { wall, found, faults, .. } = judge(&rig.wall, &plan, &readings, None);

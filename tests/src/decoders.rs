@@ -39,7 +39,14 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex, split};
 use crate::{
     frame_buffer::BufferPool,
     message,
-    mpcdi_file::{archive::Archive, convert, document::Mpcdi},
+    mpcdi_file::{
+        archive::Archive,
+        canvas::{self, Rough},
+        convert::{self, Source},
+        document::{Mpcdi, Profile},
+        points::{self, Shape},
+        view,
+    },
     osc as osc_packet,
     show_file::Show,
     wall::{Wall, mesh::pfm::Pfm},
@@ -219,12 +226,34 @@ pub fn mpcdi(data: &[u8]) {
     Mpcdi::read(&String::from_utf8_lossy(data)).err().iter().for_each(|problem| is_line(problem));
     let Ok(mut archive) = Archive::open(std::io::Cursor::new(data)) else { return };
     let Ok(document) = archive.document() else { return };
-    for region in document.regions.iter().take(4) {
-        let projector = archive.warp(&region.warp).and_then(|warp| convert::projector(region, &warp, [0, 0], "a.pfm"));
-        match projector {
+    let regions = &document.regions[..document.regions.len().min(4)];
+    let mut warps = Vec::new();
+    for region in regions {
+        let Ok(warp) = archive.warp(&region.warp) else { return };
+        let canvas_from = convert::in_picture(region);
+        match convert::projector(Source { region, warp: &warp, canvas_from: &canvas_from }, [0, 0], "a.pfm") {
             Ok(projector) => drop(Wall::new([4.0, 2.0], FrameSize::PAPER, vec![projector])),
             Err(problem) => is_line(&problem),
         }
+        warps.push(canvas::thin(region, &warp));
+    }
+    let maps: Vec<_> =
+        regions.iter().map(|it| it.alpha.as_ref().and_then(|(path, gamma)| archive.light(path, *gamma).ok())).collect();
+    let rough = Rough { regions, warps: &warps, maps: &maps };
+    let places = match document.profile {
+        Profile::Picture => return,
+        Profile::View => view::places(None, &rough).map(|(places, _)| vec![places]),
+        Profile::Space => {
+            let shapes = [Shape::Flat, Shape::Cylinder, Shape::Fold, Shape::Dome];
+            Ok(shapes.iter().filter_map(|shape| Some(points::places(*shape, &rough).ok()?.0)).collect())
+        }
+    };
+    match places {
+        Ok(places) => {
+            let is_area = |[least, greatest]: [glam::DVec2; 2]| greatest.cmpgt(least).all();
+            assert!(places.iter().filter_map(|places| rough.lit(places)).all(is_area));
+        }
+        Err(problem) => is_line(&problem),
     }
 }
 

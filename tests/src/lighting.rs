@@ -13,7 +13,7 @@ use crate::{
     pictures::{Frame, draw, gpu},
     process::Program,
     room::{
-        camera::{Camera, Obstacle},
+        camera::{Camera, Obstacle, Random},
         light::{Evenness, LEVELS, evenness},
         rig::Rig,
     },
@@ -116,6 +116,38 @@ fn projectors_of_different_light_show_no_seam_after_photographs_from_two_places(
         let expected = stands.light.curve[128].ln() / (128.0_f64 / 255.0).ln();
         assert!((exponent - expected).abs() < 0.05, "\"{}\": {exponent} instead of {expected}", projector.name);
         assert!((0.001..0.012).contains(&projector.black_level), "\"{}\": {}", projector.name, projector.black_level);
+    }
+}
+
+/// A phone stands near the wall, so its lens darkens the outer projectors to a half.
+#[test]
+fn a_phone_s_jpegs_from_three_places_even_out_a_wall_of_twelve() {
+    let mut rig = Rig::new([4, 3], [384, 288], 0.02, "").with_lights(3);
+    let plan = Plan::of_wall(&rig.wall).unwrap();
+    let mut random = Random::new(5);
+    let places = [DVec3::new(0.8, 1.4, 3.6), DVec3::new(2.1, 1.7, 3.8), DVec3::new(3.3, 1.3, 3.5)];
+    let aims = [[1.85, 1.05], [2.0, 1.2], [2.15, 1.1]].map(DVec2::from);
+    let mut readings: Vec<Reading> = Vec::new();
+    for (place, pattern) in (0..3).flat_map(|place| (0..plan.n_with_light()).map(move |pattern| (place, pattern))) {
+        let mut shake = |most: f64| DVec3::new(random.around(most), random.around(most), random.around(most));
+        let (at, target) = (places[place] + shake(0.02), aims[place] + shake(0.03).truncate());
+        let camera = rig.camera([1600, 1200], at, target, 0.72);
+        let camera =
+            Camera { jpeg: Some(90), noise: 0.02, blur_px: 0.9, exposure: 0.75, colours: Some(COLOURS), ..camera };
+        readings.push(read(&mut rig, &plan, &camera, pattern, None));
+    }
+    let Verdict { wall, faults, .. } = judge(&rig.wall, &plan, &readings, None);
+    assert!(faults.is_empty(), "{faults:?}");
+    let LightVerdict { wall, found, faults } = judge_light(&wall.unwrap(), &readings);
+    assert!(faults.is_empty(), "{faults:?}\n{found:#?}");
+    let wall = wall.unwrap();
+    let after = shown(&rig, &wall);
+    // Projectors of so few pixels have few squares.
+    assert!(after.seam < 0.02 && after.uneven < 0.02, "{after:?}");
+    for (stands, projector) in rig.projectors.iter().zip(wall.projectors()) {
+        let compositor::wall::Gamma::Power(exponent) = projector.gamma else { panic!("{:?}", projector.gamma) };
+        let expected = stands.light.curve[128].ln() / (128.0_f64 / 255.0).ln();
+        assert!((exponent - expected).abs() < 0.03, "\"{}\": {exponent} instead of {expected}", projector.name);
     }
 }
 

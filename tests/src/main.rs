@@ -61,6 +61,8 @@ mod measuring;
 #[cfg(test)]
 mod mpcdi;
 #[cfg(test)]
+mod mpcdi_space;
+#[cfg(test)]
 mod operator;
 #[cfg(test)]
 mod optics;

@@ -7,9 +7,13 @@ use glam::DVec2;
 
 use crate::{process::Program, room::bent};
 
-/// Runs `mpcdi.py`; `None` on a machine without Python.
 fn python(arguments: &[&str]) -> Option<String> {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/mpcdi.py");
+    python_of("mpcdi.py", arguments)
+}
+
+/// Runs a script beside this file; `None` on a machine without Python.
+pub(crate) fn python_of(script: &str, arguments: &[&str]) -> Option<String> {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("src").join(script);
     let Ok(output) = Command::new("python3").arg(script).args(arguments).output() else {
         println!("not tested: there is no python3");
         return None;
@@ -19,7 +23,7 @@ fn python(arguments: &[&str]) -> Option<String> {
     Some(String::from_utf8(output.stdout).unwrap())
 }
 
-fn run(arguments: &[&str]) -> (Option<i32>, String) {
+pub(crate) fn run(arguments: &[&str]) -> (Option<i32>, String) {
     let mut command = Program::command("compositor");
     command.args(arguments);
     let (status, said) = Program::start(command).wait();

@@ -2,7 +2,8 @@
 //!
 //! The corners in the file say where every projector's pixels were on the canvas. Those that have not moved show the camera
 //! where it stands and how its lens bends, so one photograph tells the others' new places; nothing else is kept from the
-//! first run, and any camera will do. Which projectors have moved is not assumed: all are, at first, where the file has
+//! first run, and any camera will do. On a wall that is not flat, meshes say that, and the wall's shape (`bent_again`). Which
+//! projectors have moved is not assumed: all are, at first, where the file has
 //! them, and the one that fits worst is let go until the rest agree; then those are held again that do agree with these, as
 //! the first to go may have been pulled by others (least trimmed squares in spirit: Rousseeuw 1984). Fewer than half of the
 //! projectors may have moved, since they would outvote the others.
@@ -11,15 +12,16 @@ use glam::{DMat3, DVec2, DVec3};
 use shared::printable::counted;
 
 use super::{
+    bent_again,
     finding::Finding,
     fitting::{median, quantile, with_unit_depth},
     lens::Lens,
     pattern::Plan,
     place::warp_px,
-    solve::{Shot, Solution, solve_from},
+    solve::{Fit, Shot, Solution, solve_from},
     verdict::{
         LARGEST_MEDIAN_PX, LARGEST_P95_PX, Reading, Verdict, doubts, farthest_move, finding, line, missing_fault,
-        solved_without_misfits, with_warps, without_reflections,
+        solved_without_misfits, with_new, without_reflections,
     },
 };
 use crate::wall::{Projector, Wall, homography::apply};
@@ -37,13 +39,19 @@ const LEAST_PROJECTORS: usize = 3;
 /// Whether a wall can be aligned again; the text names the cure.
 ///
 /// # Errors
-/// It is not flat, was not aligned before, or has too few projectors.
+/// It was not aligned before, does not say its shape, or has too few projectors.
 pub fn check_again(wall: &Wall) -> Result<(), String> {
-    let has_mesh = wall.projectors().iter().any(|projector| projector.mesh.is_some());
-    if wall.surface().is_some() || has_mesh {
-        return Err("--again aligns flat walls: align one of another shape anew, without it".to_owned());
-    }
-    if !wall.projectors().iter().any(Projector::is_warped) {
+    let has_mesh = |projector: &Projector| projector.mesh.is_some();
+    if wall.surface().is_some() {
+        if !wall.projectors().iter().all(has_mesh) {
+            return Err(
+                "not all projectors in the file have meshes, and --again needs those of the first time: leave it out"
+                    .to_owned(),
+            );
+        }
+    } else if wall.projectors().iter().any(has_mesh) {
+        return Err("the file has meshes and does not say the wall's shape: add [surface]".to_owned());
+    } else if !wall.projectors().iter().any(Projector::is_warped) {
         return Err("the file has no corners yet, and --again needs those of the first time: leave it out".to_owned());
     }
     if wall.projectors().len() < LEAST_PROJECTORS {
@@ -54,8 +62,12 @@ pub fn check_again(wall: &Wall) -> Result<(), String> {
     Ok(())
 }
 
-/// Finds the projectors that have moved since the wall's file was written, and their new corners. All others keep theirs.
+/// Finds the projectors that have moved since the wall's file was written, and their new corners or meshes. All others keep
+/// theirs.
 pub fn judge_again(wall: &Wall, plan: &Plan, readings: &[Reading]) -> Verdict {
+    if let Some(surface) = wall.surface() {
+        return bent_again::judge(wall, surface, plan, readings);
+    }
     let n_projectors = wall.projectors().len();
     let (mut shots, mut found) = without_reflections(wall, readings);
     let all: Option<Vec<DMat3>> = wall.projectors().iter().map(px_from_plane).collect();
@@ -63,74 +75,140 @@ pub fn judge_again(wall: &Wall, plan: &Plan, readings: &[Reading]) -> Verdict {
         let faults = vec!["corners in the file make no picture: leave --again out".to_owned()];
         return Verdict { wall: None, found, faults, projectors: Vec::new() };
     };
-    let mut has_moved = vec![false; n_projectors];
     let solve = |has_moved: &[bool], shots: &[Shot]| {
         let known: Vec<Option<DMat3>> =
             all.iter().zip(has_moved).map(|(map, has_moved)| (!has_moved).then_some(*map)).collect();
         solve_from(&known, shots)
     };
-    let limit = limit(n_projectors, &shots);
-    let mut solution = solve(&has_moved, &shots);
-    while let Some(farthest) = farthest(&solution, &has_moved, limit) {
-        has_moved[farthest] = true;
-        solution = solve(&has_moved, &shots);
-    }
-    // Each time, the one that agrees best.
-    while let Some(nearest) = nearest(&all, &shots, &solution, &has_moved, limit) {
-        has_moved[nearest] = false;
-        solution = solve(&has_moved, &shots);
-    }
+    let limit = limit(&solve(&vec![true; n_projectors], &shots).fits);
+    let tried = |has_moved: &[bool]| {
+        let solution = solve(has_moved, &shots);
+        let of = |index: usize| match has_moved[index] {
+            true => (solution.fits[index], distances(index, all[index], &shots, &solution)),
+            false => (solution.fits[index], [solution.fits[index].median_px, solution.fits[index].p95_px]),
+        };
+        (0..n_projectors).map(of).collect::<Vec<_>>()
+    };
+    let has_moved = moved(n_projectors, limit, false, &tried);
     // Photographs that do not fit are told from projectors that have moved only now.
     let solution = solved_without_misfits(readings, &mut shots, &mut found, &|shots| solve(&has_moved, shots));
-    judged(wall, plan, &shots, &solution, &has_moved, found)
+    let outcome = |index: usize| {
+        let projector = &wall.projectors()[index];
+        let new = solution.px_from_plane[index].and_then(|map| warp_px(projector, map, plane_from_canvas()));
+        let mended = new.map(|warp_px| {
+            (Projector { warp_px, ..projector.clone() }, farthest_move(projector, warp_px), "its corners move by up to")
+        });
+        Outcome { finding: finding(wall, plan, &solution, index), mended }
+    };
+    judged(wall, plan, &shots, &has_moved, found, &outcome)
 }
 
-fn judged(
+/// What a solution tells of a projector.
+pub(super) struct Outcome {
+    pub finding: Finding,
+    /// The projector where it stands now, and how far it moved, with words for that; `None` if it cannot show its part.
+    pub mended: Option<(Projector, f64, &'static str)>,
+}
+
+/// How well a projector fits, and how far half and nineteen of twenty of its points lie from where the file has them.
+pub(super) type Tried = (Fit, [f64; 2]);
+
+/// Which projectors have moved, if `tried` tells all of them while some count as moved.
+///
+/// Those that count as unmoved pull at the camera; where few projectors make a wall, one that has moved may pull so hard that
+/// others seem to have moved. If `tries_each`, each is let go in turn, and that counts without which the others agree best.
+pub(super) fn moved(
+    n_projectors: usize,
+    limit: f64,
+    tries_each: bool,
+    tried: &dyn Fn(&[bool]) -> Vec<Tried>,
+) -> Vec<bool> {
+    let mut has_moved = vec![false; n_projectors];
+    let mut away = tried(&has_moved);
+    let by_median = |a: &usize, b: &usize, away: &[Tried]| away[*a].1[0].total_cmp(&away[*b].1[0]);
+    let still = |has_moved: &[bool], away: &[Tried]| -> Vec<usize> {
+        (0..n_projectors).filter(|index| !has_moved[*index] && away[*index].0.n_points > 0).collect()
+    };
+    loop {
+        let mut far = still(&has_moved, &away);
+        far.retain(|index| !agrees(away[*index].1, limit));
+        let Some(farthest) = far.iter().copied().max_by(|a, b| by_median(a, b, &away)) else { break };
+        if !tries_each || far.len() == 1 {
+            has_moved[farthest] = true;
+            away = tried(&has_moved);
+            continue;
+        }
+        let without = far.into_iter().map(|index| {
+            let mut has_moved = has_moved.clone();
+            has_moved[index] = true;
+            let away = tried(&has_moved);
+            let left = still(&has_moved, &away);
+            let n_off = left.iter().filter(|index| !agrees(away[**index].1, limit)).count();
+            let sum: f64 = left.iter().map(|index| away[*index].1[0]).sum();
+            (n_off, sum, has_moved, away)
+        });
+        let best = without.min_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        let Some((_, _, best, best_away)) = best else { break };
+        (has_moved, away) = (best, best_away);
+    }
+    loop {
+        // Each time, the one that agrees best.
+        let gone = (0..n_projectors).filter(|index| has_moved[*index] && agrees(away[*index].1, limit));
+        let Some(nearest) = gone.min_by(|a, b| by_median(a, b, &away)) else { break };
+        has_moved[nearest] = false;
+        away = tried(&has_moved);
+    }
+    has_moved
+}
+
+/// The verdict on projectors of which some have moved.
+pub(super) fn judged(
     wall: &Wall,
     plan: &Plan,
     shots: &[Shot],
-    solution: &Solution,
     has_moved: &[bool],
     mut found: Vec<String>,
+    outcome: &dyn Fn(usize) -> Outcome,
 ) -> Verdict {
-    let (mut faults, mut warps, mut projectors) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut faults, mut projectors) = (Vec::new(), Vec::new());
+    let mut new_projectors = wall.projectors().to_vec();
     let names = |indices: &[usize]| {
         let names: Vec<&str> = indices.iter().map(|index| wall.projectors()[*index].name.as_str()).collect();
         format!("\"{}\"", names.join("\", \""))
     };
-    let moved: Vec<usize> = (0..has_moved.len()).filter(|index| has_moved[*index]).collect();
-    if 2 * moved.len() >= has_moved.len() {
+    let outcomes: Vec<Outcome> = (0..has_moved.len()).map(outcome).collect();
+    let n_moved = has_moved.iter().filter(|has_moved| **has_moved).count();
+    // Of two that are seen, nothing tells which one has moved.
+    let n_seen = outcomes.iter().filter(|it| it.finding.fit.is_some_and(|fit| fit.n_points > 0)).count();
+    if n_moved > 0 && 2 * n_moved >= n_seen {
         faults.push(format!(
-            "{} of {} projectors do not lie where the file has them, and fewer than half may have moved: align the wall \
-             anew, without --again",
-            moved.len(),
-            has_moved.len()
+            "{n_moved} of {n_seen} projectors that are seen do not lie where the file has them, and fewer than half may have \
+             moved: photograph the whole wall, or align it anew, without --again"
         ));
     }
     let mut unseen = Vec::new();
-    for (index, projector) in wall.projectors().iter().enumerate() {
+    for ((index, projector), Outcome { finding, mended }) in wall.projectors().iter().enumerate().zip(outcomes) {
         let name = &projector.name;
-        let finding = finding(wall, plan, solution, index);
         let n_points = finding.fit.map_or(0, |fit| fit.n_points);
         if has_moved[index] {
-            let Some(map) = solution.px_from_plane[index] else {
+            if n_points == 0 {
                 faults.push(missing_fault(name, index, shots));
                 projectors.push(Finding { has_fault: true, ..Finding::default() });
                 continue;
-            };
-            let of_projector = doubts(name, &finding, Some(plan.whole_in(index)));
+            }
+            let of_projector = doubts(name, &finding, Some(plan.whole_in(index)), wall.surface().is_none());
             let mut finding = Finding { has_fault: !of_projector.is_empty(), ..finding };
             faults.extend(of_projector);
-            match warp_px(projector, map, plane_from_canvas()) {
-                Some(warp) => {
-                    warps.push((index, warp));
-                    finding.moved_px = Some(farthest_move(projector, warp));
+            let mut how_far = String::new();
+            match mended {
+                Some((mended, by, words)) => {
+                    new_projectors[index] = mended;
+                    finding.moved_px = Some(by);
+                    how_far = format!("; {words} {by:.1}");
                 }
                 None => faults.push(format!("\"{name}\" cannot show its part of the canvas from where it stands")),
             }
-            let moved =
-                finding.moved_px.map_or(String::new(), |moved| format!("; its corners move by up to {moved:.1}"));
-            found.push(format!("{}{moved}", line(name, &finding)));
+            found.push(format!("{}{how_far}", line(name, &finding)));
             projectors.push(finding);
         } else if n_points == 0 || finding.covered < LEAST_SEEN {
             unseen.push(index);
@@ -148,42 +226,26 @@ fn judged(
             names(&unseen)
         ));
     }
-    let new_wall = if moved.is_empty() {
+    let new_wall = if n_moved == 0 {
         if faults.is_empty() {
-            found.push("no projector has moved: all corners stay".to_owned());
+            found.push("no projector has moved: all stay as they are".to_owned());
         }
         None
     } else {
-        with_warps(wall, &warps, &mut found, &mut faults)
+        with_new(wall, new_projectors, &mut found, &mut faults)
     };
     Verdict { wall: new_wall, found, faults, projectors }
 }
 
 /// The distance beyond which a projector has moved, by how well photographs fit projectors that may stand anywhere.
-fn limit(n_projectors: usize, shots: &[Shot]) -> f64 {
-    let free = solve_from(&vec![None; n_projectors], shots);
-    let fits = free.fits.iter().filter(|fit| fit.n_points > 0);
+pub(super) fn limit(free: &[Fit]) -> f64 {
+    let fits = free.iter().filter(|fit| fit.n_points > 0);
     (USUAL_MOVE * median(fits.map(|fit| fit.median_px).collect())).clamp(LEAST_MOVE_PX, LARGEST_MEDIAN_PX)
 }
 
 /// Whether points at these distances, half and nineteen of twenty, lie where they should.
 fn agrees([median_px, p95_px]: [f64; 2], limit: f64) -> bool {
     median_px <= limit && p95_px <= LARGEST_P95_PX
-}
-
-/// The projector, of those that count as unmoved, that lies farthest from where the file has it, if that is too far.
-fn farthest(solution: &Solution, has_moved: &[bool], limit: f64) -> Option<usize> {
-    let away = |index: usize| [solution.fits[index].median_px, solution.fits[index].p95_px];
-    let still = (0..has_moved.len()).filter(|index| !has_moved[*index] && solution.fits[*index].n_points > 0);
-    still.filter(|index| !agrees(away(*index), limit)).max_by(|a, b| away(*a)[0].total_cmp(&away(*b)[0]))
-}
-
-/// The projector, of those that count as moved, that lies nearest to where the file has it, if that is near enough.
-fn nearest(all: &[DMat3], shots: &[Shot], solution: &Solution, has_moved: &[bool], limit: f64) -> Option<usize> {
-    let moved = (0..has_moved.len()).filter(|index| has_moved[*index]);
-    let away = moved.map(|index| (index, distances(index, all[index], shots, solution)));
-    let near = away.filter(|(_, away)| agrees(*away, limit)).min_by(|(_, a), (_, b)| a[0].total_cmp(&b[0]));
-    near.map(|(index, _)| index)
 }
 
 /// How far a projector's points are from where a map has them, in its pixels: half and nineteen of twenty are nearer.

@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, DVec4};
 
 use super::{
-    bundle::{Bundle, Pose, Projection, Seen, projected},
+    bundle::{Bundle, Held, Pose, Projection, Seen, projected},
     fitting::{quantile, solve_symmetric},
     lens::Lens,
     solve::{Fit, Shot},
@@ -18,6 +18,8 @@ pub(super) struct Layout<'a> {
     pub size: DVec2,
     /// The place on the unrolled wall, in metres, at a pixel.
     pub place_at: Box<dyn Fn(DVec2) -> DVec2 + 'a>,
+    /// Whether its pixels lie exactly there.
+    pub is_held: bool,
 }
 
 /// Where projectors' pixels lie.
@@ -41,26 +43,35 @@ const LEAST_CROSSINGS: usize = 24;
 const FEW: usize = 150;
 
 /// Solves for all projectors and shots; what has too few crossings is left out. `None` if nothing fits at all.
+///
+/// Projectors that are held show the cameras where they stand, and stay as they are.
 pub(super) fn solve(surface: Surface, layouts: &[Layout<'_>], shots: &[Shot]) -> Option<BentSolution> {
     let seen = seen(layouts, shots);
+    let is_any_held = layouts.iter().any(|layout| layout.is_held);
+    let tells = |it: &Seen| it.held.is_some() || !is_any_held;
     let n_of = |is_of: &dyn Fn(&Seen) -> bool| seen.iter().filter(|it| is_of(it)).count();
     let place = |it: &Seen| {
         let layout = &layouts[it.projector];
         (layout.place_at)(it.px * it.px_per_unit + layout.size / 2.0)
     };
     let rough = |shot: usize| -> Vec<(DVec2, DVec2)> {
-        let own: Vec<&Seen> = seen.iter().filter(|it| it.shot == shot).collect();
+        let own: Vec<&Seen> = seen.iter().filter(|it| it.shot == shot && tells(it)).collect();
         own.iter().step_by(own.len().div_ceil(FEW).max(1)).map(|it| (it.at, place(it))).collect()
     };
-    let used: Vec<bool> = (0..shots.len()).map(|shot| n_of(&|it| it.shot == shot) >= LEAST_CROSSINGS).collect();
+    let used: Vec<bool> =
+        (0..shots.len()).map(|shot| n_of(&|it| it.shot == shot && tells(it)) >= LEAST_CROSSINGS).collect();
     // The shot that shows most tells the focal length; the others share it.
-    let most = (0..shots.len()).filter(|shot| used[*shot]).max_by_key(|shot| n_of(&|it| it.shot == *shot))?;
+    let most =
+        (0..shots.len()).filter(|shot| used[*shot]).max_by_key(|shot| n_of(&|it| it.shot == *shot && tells(it)))?;
     let focal = start(&surface, &rough(most), None)?.0;
     let poses: Vec<Option<Pose>> =
         (0..shots.len()).map(|shot| used[shot].then(|| Some(start(&surface, &rough(shot), Some(focal))?.1))?).collect();
     let mut bundle = Bundle { lens: Lens::default(), focal, poses, projections: vec![None; layouts.len()] };
     let seen: Vec<Seen> = seen.into_iter().filter(|it| bundle.poses[it.shot].is_some()).collect();
-    for projector in 0..layouts.len() {
+    if is_any_held {
+        bundle = bundle.adjusted(&surface, &seen.iter().filter(|it| it.held.is_some()).copied().collect::<Vec<_>>());
+    }
+    for projector in (0..layouts.len()).filter(|projector| !layouts[*projector].is_held) {
         let pairs: Vec<(DVec3, DVec2)> = seen
             .iter()
             .filter(|it| it.projector == projector)
@@ -68,7 +79,8 @@ pub(super) fn solve(surface: Surface, layouts: &[Layout<'_>], shots: &[Shot]) ->
             .collect();
         bundle.projections[projector] = (pairs.len() >= LEAST_CROSSINGS).then(|| fitted(&pairs)).flatten();
     }
-    let seen: Vec<Seen> = seen.into_iter().filter(|it| bundle.projections[it.projector].is_some()).collect();
+    let is_known = |it: &Seen| it.held.is_some() || bundle.projections[it.projector].is_some();
+    let seen: Vec<Seen> = seen.into_iter().filter(is_known).collect();
     let bundle = bundle.adjusted(&surface, &seen);
     Some(BentSolution::new(bundle, surface, layouts, shots.len(), &seen))
 }
@@ -77,7 +89,8 @@ fn seen(layouts: &[Layout<'_>], shots: &[Shot]) -> Vec<Seen> {
     let mut all = Vec::new();
     for (shot, it) in shots.iter().enumerate() {
         for sighting in &it.sightings {
-            let size = layouts[sighting.projector_idx].size;
+            let layout = &layouts[sighting.projector_idx];
+            let size = layout.size;
             let px_per_unit = size.max_element() / 2.0;
             all.extend(sighting.points.iter().map(|[px, at]| Seen {
                 shot,
@@ -85,10 +98,21 @@ fn seen(layouts: &[Layout<'_>], shots: &[Shot]) -> Vec<Seen> {
                 at: Lens::normalised(it.size, *at),
                 px: (*px - size / 2.0) / px_per_unit,
                 px_per_unit,
+                held: layout.is_held.then(|| layout.held(*px, px_per_unit)),
             }));
         }
     }
     all
+}
+
+impl Layout<'_> {
+    /// Where a pixel is held.
+    fn held(&self, px: DVec2, px_per_unit: f64) -> Held {
+        // A pixel to either side: meshes are smooth there, except across a fold.
+        let by = |axis: DVec2| ((self.place_at)(px + axis) - (self.place_at)(px - axis)) / 2.0;
+        let px_by_place = DMat2::from_cols(by(DVec2::X), by(DVec2::Y)).inverse() * (1.0 / px_per_unit);
+        Held { place: (self.place_at)(px), px_by_place }
+    }
 }
 
 /// A camera's focal length, unless it is given, and its place, from what it sees of places that are known roughly.
@@ -243,6 +267,18 @@ impl BentSolution {
             bundle,
             surface,
         }
+    }
+
+    /// How far a projector's points are from where a layout has them, in its pixels: half and nineteen of twenty are nearer.
+    pub(super) fn distances(&self, projector: usize, layout: &Layout<'_>) -> [f64; 2] {
+        let size = self.sizes[projector];
+        let px_per_unit = size.max_element() / 2.0;
+        let away = |[px, place]: [DVec2; 2]| {
+            let Held { place: there, px_by_place } = layout.held(px, px_per_unit);
+            (px_by_place * (there - place)).length() * px_per_unit
+        };
+        let mut all: Vec<f64> = self.crossings(projector).map(away).collect();
+        [quantile(&mut all, 0.5), quantile(&mut all, 0.95)]
     }
 
     /// Whether a projector was solved.

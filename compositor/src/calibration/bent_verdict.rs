@@ -1,17 +1,15 @@
 //! From photographs to meshes, on a wall that is not flat: what was found, what was not, and the cure.
 
-use shared::printable::counted;
-
 use super::{
     bent::{self, BentSolution, Layout},
     finding::{Finding, typical},
     pattern::Plan,
     place::Placement,
-    solve::{Fit, Shot},
+    solve::Shot,
     unroll::{Unrolled, place_in_file},
-    verdict::{LARGEST_MEDIAN_PX, LARGEST_P95_PX, LEAST_COVERED, Verdict, misfit, misfit_line, missing_fault},
+    verdict::{Verdict, doubts, line, misfit, misfit_line, missing_fault},
 };
-use crate::wall::{Surface, Wall};
+use crate::wall::{Projector, Surface, Wall};
 
 /// So much of the canvas must be lit, or a line says that it is not.
 const LEAST_LIT: f64 = 0.995;
@@ -39,14 +37,15 @@ pub(super) fn judge(
             return nothing(found, faults);
         }
     };
-    let Some(mut solution) = solved(wall, surface, &shots) else {
+    let free = vec![false; wall.projectors().len()];
+    let Some(mut solution) = solved(wall, surface, &shots, &free) else {
         faults.push("no photograph shows enough of the patterns: are the projectors on, and is it sharp?".into());
         return nothing(found, faults);
     };
     while let Some(worst) = misfit(&solution.shot_medians_px) {
         found.push(misfit_line(names[worst], solution.shot_medians_px[worst]));
         shots[worst].sightings.clear();
-        let Some(next) = solved(wall, surface, &shots) else { break };
+        let Some(next) = solved(wall, surface, &shots, &free) else { break };
         solution = next;
     }
     let kept = Unrolled::kept(wall, surface, &solution);
@@ -60,7 +59,9 @@ pub(super) fn judge(
             continue;
         }
         let n_faults = faults.len();
-        let finding = report(&projector.name, index, &solution, plan, &mut found, &mut faults);
+        let finding = finding(&solution, plan, index);
+        found.push(line(&projector.name, &finding));
+        faults.extend(doubts(&projector.name, &finding, None, false));
         match unrolled.projector(wall, surface, &solution, index) {
             Some(new) => *projector = new,
             None => faults.push(format!(
@@ -85,47 +86,24 @@ pub(super) fn judge(
     Verdict { wall: new_wall.ok().filter(|_| is_changed), found, faults, projectors: findings }
 }
 
-fn solved(wall: &Wall, surface: Surface, shots: &[Shot]) -> Option<BentSolution> {
-    let mut layouts = Vec::new();
-    for projector in wall.projectors() {
-        let place_at = Box::new(move |px| place_in_file(wall, projector, px));
-        layouts.push(Layout { size: projector.output.size(), place_at });
-    }
-    bent::solve(surface, &layouts, shots)
+/// Solves a wall of which these projectors are held where the file has them.
+pub(super) fn solved(wall: &Wall, surface: Surface, shots: &[Shot], is_held: &[bool]) -> Option<BentSolution> {
+    bent::solve(surface, &layouts(wall, is_held), shots)
 }
 
-/// A line on a projector, and what speaks against it.
-fn report(
-    name: &str,
-    index: usize,
-    solution: &BentSolution,
-    plan: &Plan,
-    found: &mut Vec<String>,
-    faults: &mut Vec<String>,
-) -> Finding {
+/// Where the file has projectors.
+pub(super) fn layouts<'a>(wall: &'a Wall, is_held: &[bool]) -> Vec<Layout<'a>> {
+    let layout = |(projector, is_held): (&'a Projector, &bool)| {
+        let place_at = Box::new(move |px| place_in_file(wall, projector, px));
+        Layout { size: projector.output.size(), place_at, is_held: *is_held }
+    };
+    wall.projectors().iter().zip(is_held).map(layout).collect()
+}
+
+/// What a solution tells of a projector.
+pub(super) fn finding(solution: &BentSolution, plan: &Plan, index: usize) -> Finding {
     let fit = solution.fit(index);
-    let Fit { n_points, n_crossings, median_px, p95_px, .. } = fit;
-    let covered = n_crossings as f64 / plan.boards[index].n_crossings().max(1) as f64;
-    found.push(format!(
-        "\"{name}\": {}, {:.0} % of its picture; half within {median_px:.2} pixels, 95 % within {p95_px:.2}",
-        counted(n_points, "point"),
-        100.0 * covered
-    ));
-    if covered < LEAST_COVERED {
-        faults.push(format!(
-            "only {:.0} % of \"{name}\" was seen, and {:.0} % is needed: take a photograph of every pattern that shows all \
-             of it, and clear the way to the camera",
-            100.0 * covered,
-            100.0 * LEAST_COVERED
-        ));
-    }
-    if !(median_px <= LARGEST_MEDIAN_PX && p95_px <= LARGEST_P95_PX) {
-        faults.push(format!(
-            "\"{name}\" does not fit: half of its points lie within {median_px:.2} pixels and 95 % within {p95_px:.2}, \
-             where {LARGEST_MEDIAN_PX} and {LARGEST_P95_PX} are allowed: has the wall the shape that [surface] says, did \
-             it move between photographs, and does the camera come near enough?"
-        ));
-    }
+    let covered = fit.n_crossings as f64 / plan.boards[index].n_crossings().max(1) as f64;
     let misses = typical(&solution.misses(index), solution.size(index));
     Finding { fit: Some(fit), covered, misses, ..Finding::default() }
 }

@@ -3,7 +3,7 @@
 //! A camera's ray through a crossing meets the wall at a point in space, which the projector's matrix takes to its pixels.
 //! A curved wall shows the cameras' places and focal length, so nothing has to be calibrated before.
 
-use glam::{DQuat, DVec2, DVec3, DVec4};
+use glam::{DMat2, DQuat, DVec2, DVec3, DVec4};
 
 use super::{
     fitting::{median, solve_symmetric},
@@ -22,6 +22,17 @@ pub(super) struct Seen {
     pub px: DVec2,
     /// Pixels to such a unit.
     pub px_per_unit: f64,
+    /// Where it is known to lie; `None` if its projector may stand anywhere.
+    pub held: Option<Held>,
+}
+
+/// The place of a crossing of a projector that has not moved.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Held {
+    /// On the unrolled wall, in metres.
+    pub place: DVec2,
+    /// How pixels, as in [`Seen::px`], change with the place.
+    pub px_by_place: DMat2,
 }
 
 /// Where a camera stands, and how it is turned: x right, y down, z ahead.
@@ -49,6 +60,8 @@ const N_POSE: usize = 6;
 const N_PROJECTION: usize = 12;
 /// Rounds of adjusting; most walls take less than a hundred.
 const MOST_ROUNDS: usize = 400;
+/// The step by which slopes are found.
+const STEP: f64 = 1e-7;
 /// A ray that misses the wall counts as so many units off.
 const MISSED: f64 = 1.0;
 
@@ -79,6 +92,9 @@ impl Bundle {
 
     fn away(&self, surface: &Surface, seen: &Seen) -> Option<DVec2> {
         let place = self.place(surface, self.poses[seen.shot].as_ref()?, seen.at)?;
+        if let Some(Held { place: known, px_by_place }) = seen.held {
+            return Some(px_by_place * (known - place));
+        }
         Some(seen.px - projected(self.projections[seen.projector].as_ref()?, surface.in_space(place))?)
     }
 
@@ -168,8 +184,14 @@ impl Bundle {
             right[at] -= 1e-6 * value / (spread * spread);
         }
         for it in seen {
-            let (Some(pose), Some(rows)) = (&self.poses[it.shot], &self.projections[it.projector]) else { continue };
-            let Some(slopes) = self.slopes(surface, it, pose, rows) else { continue };
+            let Some(pose) = &self.poses[it.shot] else { continue };
+            let rows = self.projections[it.projector].as_ref();
+            let slopes = match (it.held, rows) {
+                (Some(held), _) => self.slopes_of_held(surface, it, pose, held),
+                (None, Some(rows)) => self.slopes(surface, it, pose, rows),
+                (None, None) => None,
+            };
+            let Some(slopes) = slopes else { continue };
             let away = slopes.away;
             let weight = 1.0 / (1.0 + away.length_squared() / (scale * scale));
             let places = |n: usize| match n {
@@ -190,22 +212,13 @@ impl Bundle {
 
     /// How far a crossing is off, and the changes of its image with lens, pose and projection.
     fn slopes(&self, surface: &Surface, seen: &Seen, pose: &Pose, rows: &Projection) -> Option<Slopes> {
-        let point_of = |bundle: &Self, pose: &Pose| Some(surface.in_space(bundle.place(surface, pose, seen.at)?));
-        let point = point_of(self, pose)?;
+        let point = surface.in_space(self.place(surface, pose, seen.at)?);
         let px = projected(rows, point)?;
         let depth = rows[2].dot(point.extend(1.0));
         let mut by = [DVec2::ZERO; N_LENS + N_POSE + N_PROJECTION];
         let (x, y) = ((rows[0] - rows[2] * px.x).truncate() / depth, (rows[1] - rows[2] * px.y).truncate() / depth);
-        const STEP: f64 = 1e-7;
         for (n, slope) in by[..N_LENS + N_POSE].iter_mut().enumerate() {
-            let mut step = [0.0; N_LENS + N_POSE];
-            step[n] = STEP;
-            let moved = if n < N_LENS {
-                point_of(&self.with_lens(&step[..N_LENS]), pose)?
-            } else {
-                point_of(self, &pose.moved(&step[N_LENS..]))?
-            };
-            let by_point = (moved - point) / STEP;
+            let by_point = (surface.in_space(self.place_after(surface, seen, pose, n)?) - point) / STEP;
             *slope = DVec2::new(x.dot(by_point), y.dot(by_point));
         }
         let point = point.extend(1.0) / depth;
@@ -215,6 +228,27 @@ impl Bundle {
             by[N_LENS + N_POSE + 8 + n] = -px * point[n];
         }
         Some(Slopes { away: seen.px - px, by })
+    }
+
+    /// The same for a crossing whose place is known: projections change nothing.
+    fn slopes_of_held(&self, surface: &Surface, seen: &Seen, pose: &Pose, held: Held) -> Option<Slopes> {
+        let place = self.place(surface, pose, seen.at)?;
+        let mut by = [DVec2::ZERO; N_LENS + N_POSE + N_PROJECTION];
+        for (n, slope) in by[..N_LENS + N_POSE].iter_mut().enumerate() {
+            *slope = held.px_by_place * (self.place_after(surface, seen, pose, n)? - place) / STEP;
+        }
+        Some(Slopes { away: held.px_by_place * (held.place - place), by })
+    }
+
+    /// The place of a crossing after a small step of lens or pose.
+    fn place_after(&self, surface: &Surface, seen: &Seen, pose: &Pose, n: usize) -> Option<DVec2> {
+        let mut step = [0.0; N_LENS + N_POSE];
+        step[n] = STEP;
+        if n < N_LENS {
+            self.with_lens(&step[..N_LENS]).place(surface, pose, seen.at)
+        } else {
+            self.place(surface, &pose.moved(&step[N_LENS..]), seen.at)
+        }
     }
 }
 

@@ -6,8 +6,8 @@
 //! `field` finds fall-off, exposures, and the camera's vignetting, `colour` the strengths of colours, `black` the light of
 //! black; [`solve`] puts them together, and [`verdict`] says whether to believe it. `arrow` solves their equations.
 //!
-//! The camera needs no calibration, and photographs no exposure times: squares of fine stripes and dots give a half, a
-//! quarter and three quarters of the light whatever the projector's gamma is, so they calibrate the camera in each
+//! The camera needs no calibration, and photographs no exposure times: squares of fine stripes and dots give from a
+//! sixteenth to three quarters of the light whatever the projector's gamma is, so they calibrate the camera in each
 //! photograph, and the camera then measures the projector's greys.
 
 mod arrow;

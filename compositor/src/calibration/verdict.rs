@@ -177,7 +177,7 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
         finding.moved_px = warp.map(|warp| farthest_move(projector, warp));
         let corners = finding.moved_px.map_or(String::new(), |moved| format!("; its corners move by up to {moved:.1}"));
         found.push(format!("{}{corners}", line(name, &finding)));
-        faults.extend(doubts(name, &finding, None));
+        faults.extend(doubts(name, &finding, None, true));
         match warp {
             Some(warp) => warps.push((index, warp)),
             None if plane_from_canvas.is_some() => {
@@ -259,7 +259,12 @@ pub(super) fn line(name: &str, Finding { fit, covered, .. }: &Finding) -> String
 }
 
 /// What speaks against a projector that was found, with the cures; the pattern that shows all of it, if no other is needed.
-pub(super) fn doubts(name: &str, Finding { fit, covered, .. }: &Finding, whole_in: Option<u32>) -> Vec<String> {
+pub(super) fn doubts(
+    name: &str,
+    Finding { fit, covered, .. }: &Finding,
+    whole_in: Option<u32>,
+    is_flat: bool,
+) -> Vec<String> {
     let Fit { median_px, p95_px, .. } = fit.unwrap_or_default();
     let mut faults = Vec::new();
     if *covered < LEAST_COVERED {
@@ -272,28 +277,43 @@ pub(super) fn doubts(name: &str, Finding { fit, covered, .. }: &Finding, whole_i
         ));
     }
     if !(median_px <= LARGEST_MEDIAN_PX && p95_px <= LARGEST_P95_PX) {
+        let cures = match is_flat {
+            true => "did it move between photographs, is the wall flat there, is its own keystone correction off",
+            false => "has the wall the shape that [surface] says, did it move between photographs",
+        };
         faults.push(format!(
             "\"{name}\" does not fit: half of its points lie within {median_px:.2} pixels and 95 % within {p95_px:.2}, \
-             where {LARGEST_MEDIAN_PX} and {LARGEST_P95_PX} are allowed: did it move between photographs, is the wall \
-             flat there, is its own keystone correction off, and does the camera come near enough?"
+             where {LARGEST_MEDIAN_PX} and {LARGEST_P95_PX} are allowed: {cures}, and does the camera come near enough?"
         ));
     }
     faults
 }
 
 /// The wall with new corners, if there are any and they make a wall.
-pub(super) fn with_warps(
+fn with_warps(
     wall: &Wall,
     warps: &[(usize, [[f64; 2]; 4])],
     found: &mut Vec<String>,
     faults: &mut Vec<String>,
 ) -> Option<Wall> {
-    let new_wall = wall.with_warps(warps).map_err(|error| {
+    let mut projectors = wall.projectors().to_vec();
+    warps.iter().for_each(|(index, warp_px)| projectors[*index].warp_px = *warp_px);
+    let new_wall = with_new(wall, projectors, found, faults);
+    new_wall.filter(|_| !warps.is_empty())
+}
+
+/// The wall with new projectors, if they make a wall.
+pub(super) fn with_new(
+    wall: &Wall,
+    projectors: Vec<Projector>,
+    found: &mut Vec<String>,
+    faults: &mut Vec<String>,
+) -> Option<Wall> {
+    let new_wall = wall.with_projectors(projectors).map_err(|error| {
         faults.push(format!("{error}: does the file's layout agree with the wall?"));
     });
-    let new_wall = new_wall.ok().filter(|_| !warps.is_empty());
     found.extend(new_wall.iter().flat_map(short_projectors));
-    new_wall
+    new_wall.ok()
 }
 
 /// A line on a photograph that is left out.

@@ -2,7 +2,7 @@
 
 use std::{io::BufWriter, path::PathBuf, time::SystemTime};
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use channel::files::NewFile;
 use renderer::cli::say;
 use shared::{division::FrameSize, printable::counted};
@@ -12,9 +12,9 @@ use crate::{
     gpu::RgbImage,
     mpcdi::{
         archive, convert,
-        document::{Mpcdi, Region},
+        document::{Frustum, Mpcdi, Profile, Region},
     },
-    wall::{CanvasRect, Gamma, Projector, Wall},
+    wall::{CanvasRect, Gamma, Projector, Wall, mesh::pfm::Pfm},
 };
 
 /// Writes a wall as an MPCDI file: warps, and maps of light
@@ -22,17 +22,54 @@ use crate::{
 pub struct ExportArgs {
     /// The wall file
     pub wall: PathBuf,
-    /// The MPCDI file to write, of profile 2d
+    /// The MPCDI file to write
     pub file: PathBuf,
+    /// What warps say of each pixel: its point of the picture, its direction from an eye, or its point in space
+    #[arg(long, value_enum, default_value = "2d")]
+    pub profile: ExportProfile,
+}
+
+/// A profile of MPCDI.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum ExportProfile {
+    /// A picture that is laid onto the wall unrolled
+    #[value(name = "2d")]
+    Picture,
+    /// Views from an eye on a cylinder's axis, or before the middle or edge of another wall
+    #[value(name = "3d")]
+    View,
+    /// Points in space: X to the left, Y up, Z ahead, in metres
+    #[value(name = "a3")]
+    Space,
 }
 
 /// Draws the maps of light, and writes the file.
 pub fn run(args: &ExportArgs) -> anyhow::Result<()> {
     ensure_new(&args.file, "name another MPCDI file")?;
     let wall = Wall::load(&args.wall)?;
+    let is_flat = wall.projectors().iter().all(|projector| projector.mesh.is_none());
+    ensure!(
+        args.profile == ExportProfile::Picture || wall.surface().is_some() || is_flat,
+        "{} has meshes and does not say the wall's shape: add [surface], or export profile 2d",
+        args.wall.display()
+    );
+    let profile = match args.profile {
+        ExportProfile::Picture => Profile::Picture,
+        ExportProfile::View => Profile::View,
+        ExportProfile::Space => Profile::Space,
+    };
     let [white, black] = maps(&wall)?;
-    let regions = wall.projectors().iter().enumerate().map(|(index, projector)| region(index, projector)).collect();
-    let document = Mpcdi { buffer_size: Some(buffer_size(&wall)), regions };
+    let mut regions = Vec::new();
+    for (index, projector) in wall.projectors().iter().enumerate() {
+        let frustum = match profile {
+            Profile::View => Some(convert::view(&wall, projector).map(|(frustum, _)| frustum).with_context(|| {
+                format!("\"{}\" lights more than one view shows: export profile 2d or a3", projector.name)
+            })?),
+            Profile::Picture | Profile::Space => None,
+        };
+        regions.push(region(index, projector, profile, frustum));
+    }
+    let document = Mpcdi { profile, buffer_size: Some(buffer_size(&wall)), regions };
     let files = document.regions.iter().zip(wall.projectors()).flat_map(|(region, projector)| {
         let map = |whole: &RgbImage| {
             let mut bytes = Vec::new();
@@ -42,7 +79,12 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<()> {
         };
         let alpha = region.alpha.iter().map(|(path, _)| (path.clone(), map(&white)));
         let beta = region.beta.iter().map(|path| (path.clone(), map(&black)));
-        let warp = convert::warp(projector).map(|warp| (region.warp.clone(), warp.write()));
+        let warp = match profile {
+            Profile::Picture => convert::warp(projector),
+            Profile::View => convert::view(&wall, projector).map(|(_, warp)| warp),
+            Profile::Space => convert::points(&wall, projector),
+        };
+        let warp = warp.map(|warp: Pfm| (region.warp.clone(), warp.write()));
         warp.into_iter().chain(alpha).chain(beta).collect::<Vec<_>>()
     });
     let cannot = || format!("cannot write {}", args.file.display());
@@ -73,8 +115,12 @@ fn buffer_size(wall: &Wall) -> [u32; 2] {
     canvas_m.map(|side_m| (side_m * per_m.min(largest)).round().max(1.0) as u32)
 }
 
-fn region(index: usize, projector: &Projector) -> Region {
-    let CanvasRect { left, bottom, width, height } = projector.canvas;
+fn region(index: usize, projector: &Projector, profile: Profile, frustum: Option<Frustum>) -> Region {
+    let CanvasRect { left, bottom, width, height } = match profile {
+        Profile::Picture => projector.canvas,
+        // A view fills its own buffer.
+        Profile::View | Profile::Space => CanvasRect { left: 0.0, bottom: 0.0, width: 1.0, height: 1.0 },
+    };
     let gamma = match projector.gamma {
         Gamma::Power(exponent) => exponent,
         // The curve of sRGB is close to this power.
@@ -88,6 +134,8 @@ fn region(index: usize, projector: &Projector) -> Region {
         warp: format!("{}_warp.pfm", index + 1),
         alpha: Some((format!("{}_alpha.png", index + 1), gamma)),
         beta: Some(format!("{}_beta.png", index + 1)),
+        frustum,
+        unit_m: (profile == Profile::Space).then_some(1.0),
     }
 }
 

@@ -12,23 +12,65 @@ use shared::printable::{counted, printable_line};
 
 use super::ensure_new;
 use crate::{
-    mpcdi::{archive::Archive, convert, document::Mpcdi},
-    wall::{CANVAS_SIDES_M, Gamma, Projector, Wall},
+    mpcdi::{
+        archive::Archive,
+        canvas::{self, Places, Rect, Rough},
+        convert::{self, Source},
+        document::{Mpcdi, Profile},
+        points::{self, Shape},
+        view,
+    },
+    wall::{CANVAS_SIDES_M, Gamma, Projector, Surface, Unrolling, Wall},
 };
 
 /// Makes a wall file, and a mesh file for each projector, of an MPCDI file
 #[derive(Clone, Debug, clap::Args)]
 pub struct ImportArgs {
-    /// The MPCDI file, of profile 2d
+    /// The MPCDI file
     pub file: PathBuf,
     /// The wall file to write; mesh files are written beside it
     pub wall: PathBuf,
-    /// Width of the canvas in metres, which MPCDI does not say
-    #[arg(long, value_name = "M", default_value_t = 4.0)]
-    pub width: f64,
-    /// Its height in metres [default: by the shape of the picture in the file]
+    /// Width of the canvas in metres, along the wall [default: that of points in space, else 4]
+    #[arg(long, value_name = "M")]
+    pub width: Option<f64>,
+    /// Its height in metres, for a file of profile 2d [default: by the shape of the picture in the file]
     #[arg(long, value_name = "M")]
     pub height: Option<f64>,
+    /// Shape of the wall, for files of the profiles 3d, a3 and sl, which show directions or points in space
+    #[arg(long, value_enum, default_value_t = Shape::Flat)]
+    pub shape: Shape,
+    /// Angle between the planes of a fold in degrees, for a file of profile 3d, whose eye stands before the edge
+    #[arg(long, value_name = "DEGREES")]
+    pub angle: Option<f64>,
+}
+
+impl clap::ValueEnum for Shape {
+    fn value_variants<'a>() -> &'a [Self] {
+        &[Self::Flat, Self::Cylinder, Self::Fold, Self::Dome]
+    }
+
+    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
+        let (name, help) = match self {
+            Self::Flat => ("flat", "A plane"),
+            Self::Cylinder => ("cylinder", "An upright cylinder with the audience inside"),
+            Self::Fold => ("fold", "Two planes that meet at an upright edge"),
+            Self::Dome => ("dome", "A part of a sphere, unrolled around its middle"),
+        };
+        Some(clap::builder::PossibleValue::new(name).help(help))
+    }
+}
+
+/// The width of a canvas of which nothing is known.
+const USUAL_WIDTH_M: f64 = 4.0;
+
+/// A canvas on the wall that the file shows.
+struct Laid {
+    places: Places,
+    rect: Rect,
+    canvas_m: [f64; 2],
+    surface: Option<Surface>,
+    /// How it was found.
+    line: String,
 }
 
 /// Reads all of the file, then writes. Existing files stay, and an error leaves none that is half of a wall.
@@ -39,9 +81,14 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     let open = || files::open(file).with_context(|| file.display().to_string());
     let mut archive = Archive::open(open()?).map_err(fault)?;
     let document = archive.document().map_err(fault)?;
-    let canvas_m = canvas_m(args, &document)?;
-    let projectors = projectors(&mut archive, &document, wall_file).map_err(fault)?;
+    let laid = match document.profile {
+        Profile::Picture => None,
+        Profile::View | Profile::Space => Some(laid(args, &mut archive, &document)?),
+    };
+    let canvas_m = laid.as_ref().map_or_else(|| canvas_m(args, &document), |laid| Ok(laid.canvas_m))?;
+    let projectors = projectors(&mut archive, &document, wall_file, laid.as_ref()).map_err(fault)?;
     let wall = Wall::new(canvas_m, Wall::paper().frame_size(), projectors).map_err(|it| fault(it.to_string()))?;
+    let wall = wall.with_surface(laid.as_ref().and_then(|laid| laid.surface));
     let mut written = Written::default();
     for mesh in wall.projectors().iter().filter_map(|projector| projector.mesh.as_ref()) {
         let path = wall_file.with_file_name(mesh.file());
@@ -53,9 +100,10 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     Wall::from_toml(&wall_file.display().to_string(), &text)?;
     written.write(wall_file.clone(), text.as_bytes())?;
     written.keep();
+    let how = laid.map_or("--width and --height set others".to_owned(), |laid| laid.line);
     say(format_args!(
-        "wrote {} with {} on a canvas of {} m × {} m (--width and --height set others); their places are the file's, and \
-         shares of light follow from overlaps; {}; black_level and gain are to be set",
+        "wrote {} with {} on a canvas of {:.4} m × {:.4} m ({how}); their places are the file's, and shares of light follow \
+         from overlaps; {}; black_level and gain are to be set",
         wall_file.display(),
         counted(wall.projectors().len(), "projector"),
         canvas_m[0],
@@ -105,14 +153,67 @@ fn gammas(wall: &Wall) -> String {
 }
 
 fn canvas_m(args: &ImportArgs, document: &Mpcdi) -> anyhow::Result<[f64; 2]> {
-    check_side("--width", args.width)?;
-    let by_shape = document.buffer_size.map(|[columns, rows]| args.width * f64::from(rows) / f64::from(columns));
+    let width = args.width.unwrap_or(USUAL_WIDTH_M);
+    check_side("--width", width)?;
+    let by_shape = document.buffer_size.map(|[columns, rows]| width * f64::from(rows) / f64::from(columns));
     let Some(height) = args.height.or(by_shape) else {
         bail!("{} does not say the shape of its picture: give --height", args.file.display());
     };
     let what = if args.height.is_some() { "--height" } else { "the height that follows from --width" };
     check_side(what, height)?;
-    Ok([args.width, height])
+    Ok([width, height])
+}
+
+/// Lays the canvas onto a wall that is seen from an eye, or known by points in space: the largest rectangle that is lit.
+fn laid(args: &ImportArgs, archive: &mut Archive<File>, document: &Mpcdi) -> anyhow::Result<Laid> {
+    let fault = |problem: String| anyhow::anyhow!("{}: {}", args.file.display(), printable_line(&problem));
+    args.width.map_or(Ok(()), |width| check_side("--width", width))?;
+    ensure!(args.height.is_none(), "--height follows from --width in a file of this profile: leave it out");
+    let (mut warps, mut maps) = (Vec::new(), Vec::new());
+    for region in &document.regions {
+        let warp = archive.warp(&region.warp).map_err(fault)?;
+        convert::check(region, &warp).map_err(fault)?;
+        warps.push(canvas::thin(region, &warp));
+        let map = region.alpha.as_ref().filter(|(path, _)| !path.is_empty());
+        maps.push(map.map(|(path, gamma)| archive.light(path, *gamma)).transpose().map_err(fault)?);
+    }
+    let rough = Rough { regions: &document.regions, warps: &warps, maps: &maps };
+    let (places, shape, metres, line) = if document.profile == Profile::Space {
+        ensure!(args.angle.is_none(), "--angle follows from the points in a file of this profile: leave it out");
+        let (places, fitted) = points::places(args.shape, &rough).map_err(fault)?;
+        let has_unit = document.regions.iter().any(|region| region.unit_m.is_some());
+        (places, fitted.surface, has_unit.then_some(1.0), "it lies where points in space do".to_owned())
+    } else {
+        let surface = unit_surface(args)?;
+        let (places, line) = view::places(surface, &rough).map_err(fault)?;
+        (places, surface, None, line)
+    };
+    let none = || fault("no part of the wall is lit all over: give --shape, as the wall is".to_owned());
+    let rect @ [least, greatest] = rough.lit(&places).ok_or_else(none)?;
+    let size = greatest - least;
+    let scale = match (args.width, metres) {
+        (None, Some(metres)) => metres,
+        (width, _) => width.unwrap_or(USUAL_WIDTH_M) / size.x,
+    };
+    let canvas_m = (scale * size).to_array();
+    canvas_m.iter().try_for_each(|side| check_side("a side of the canvas", *side))?;
+    let surface = shape.map(|surface| surface.scaled(scale, -scale * least));
+    Ok(Laid { places, rect, canvas_m, surface, line })
+}
+
+/// The shape of a wall that is seen from an eye, in units of the eye's distance from it.
+fn unit_surface(args: &ImportArgs) -> anyhow::Result<Option<Surface>> {
+    ensure!(args.shape == Shape::Fold || args.angle.is_none(), "--angle is that of --shape fold: leave it out");
+    Ok(match (args.shape, args.angle) {
+        (Shape::Flat, _) => None,
+        (Shape::Cylinder, _) => Some(Surface::Cylinder { radius_m: 1.0, at_m: 0.0 }),
+        (Shape::Dome, _) => Some(Surface::Dome { radius_m: 1.0, at_m: [0.0; 2], unrolled: Unrolling::Azimuthal }),
+        (Shape::Fold, Some(angle)) => {
+            ensure!((30.0..180.0).contains(&angle), "--angle is {angle}: give degrees from 30 to less than 180");
+            Some(Surface::Fold { at_m: 0.0, angle })
+        }
+        (Shape::Fold, None) => bail!("a fold in a file of profile 3d needs its angle: give --angle 120, or as it is"),
+    })
 }
 
 fn check_side(what: &str, side_m: f64) -> anyhow::Result<()> {
@@ -122,13 +223,22 @@ fn check_side(what: &str, side_m: f64) -> anyhow::Result<()> {
 }
 
 /// The projectors of all regions, their pixels side by side.
-fn projectors(archive: &mut Archive<File>, document: &Mpcdi, wall_file: &Path) -> Result<Vec<Projector>, String> {
+fn projectors(
+    archive: &mut Archive<File>,
+    document: &Mpcdi,
+    wall_file: &Path,
+    laid: Option<&Laid>,
+) -> Result<Vec<Projector>, String> {
     let stem = wall_file.file_stem().unwrap_or_default().to_string_lossy();
     let mut x = 0;
     let mut projectors = Vec::new();
     for (index, region) in document.regions.iter().enumerate() {
         let warp = archive.warp(&region.warp)?;
-        let projector = convert::projector(region, &warp, [x, 0], &format!("{stem}.{}.pfm", index + 1))?;
+        let mesh_file = format!("{stem}.{}.pfm", index + 1);
+        let in_picture = convert::in_picture(region);
+        let on_wall = |value| canvas::on_canvas(&laid?.places, region, laid?.rect)(value);
+        let canvas_from: &dyn Fn(_) -> _ = if laid.is_some() { &on_wall } else { &in_picture };
+        let projector = convert::projector(Source { region, warp: &warp, canvas_from }, [x, 0], &mesh_file)?;
         x += region.size[0];
         // The map's gamma is the projector's, if the map is not linear.
         let gamma = region.alpha.as_ref().map(|(_, gamma)| *gamma).filter(|gamma| (1.2..=4.0).contains(gamma));

@@ -1,10 +1,14 @@
 //! The zip around an MPCDI.
 
-use std::io::{Read, Seek, Write};
+use std::io::{Cursor, Read, Seek, Write};
 
+use image::{ImageFormat, ImageReader, Limits};
 use zip::{CompressionMethod, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
-use super::document::Mpcdi;
+use super::{
+    canvas::Light,
+    document::{LARGEST_SIDE, Mpcdi},
+};
 use crate::wall::mesh::pfm::Pfm;
 
 /// An archive that is read; nothing is unpacked beyond its limit.
@@ -16,6 +20,8 @@ pub struct Archive<R: Read + Seek> {
 const DOCUMENT_NAMES: [&str; 2] = ["mpcdi.xml", "mpacs.xml"];
 /// The longest `mpcdi.xml`, in bytes.
 const LONGEST_DOCUMENT: u64 = 1 << 20;
+/// The longest alpha map, in bytes, and the memory that it may take.
+const LONGEST_MAP: u64 = 1 << 29;
 /// The longest warp, in bytes, which memory holds: 12 for each pixel of a projector, of which the largest have 7680×4320.
 const LONGEST_WARP: u64 = 12 * (1 << 25) + 256;
 const _: () = assert!(LONGEST_WARP >= 12 * 7680 * 4320);
@@ -47,6 +53,23 @@ impl<R: Read + Seek> Archive<R> {
     /// There is no such file, or it is no PFM of three channels.
     pub fn warp(&mut self, name: &str) -> Result<Pfm, String> {
         Pfm::read(&self.unpacked(name, LONGEST_WARP)?).map_err(|fault| format!("{name}: {fault}"))
+    }
+
+    /// The light of an alpha map in a file of the archive, in which this gamma was applied.
+    ///
+    /// # Errors
+    /// There is no such file, or it is no PNG.
+    pub fn light(&mut self, name: &str, gamma: f64) -> Result<Light, String> {
+        let mut reader = ImageReader::with_format(Cursor::new(self.unpacked(name, LONGEST_MAP)?), ImageFormat::Png);
+        let mut limits = Limits::default();
+        limits.max_image_width = Some(LARGEST_SIDE);
+        limits.max_image_height = Some(LARGEST_SIDE);
+        limits.max_alloc = Some(LONGEST_MAP);
+        reader.limits(limits);
+        let image = reader.decode().map_err(|error| format!("{name} cannot be read as PNG: {error}"))?.into_luma16();
+        let size = [image.width() as usize, image.height() as usize];
+        let light = |x: usize, y: usize| (f64::from(image.get_pixel(x as u32, y as u32).0[0]) / 65535.0).powf(gamma);
+        Ok(Light::new(size, light))
     }
 
     /// The archive's name for a file, whatever its case.

@@ -1,20 +1,42 @@
 //! `mpcdi.xml`: which part of the picture each projector shows, and the files that say how.
 
-use std::fmt::Write;
+use std::{fmt::Write, ops::RangeInclusive};
 
 use roxmltree::{Document, Node, ParsingOptions};
 
-/// A picture and the projectors that show it.
+/// A picture, or what is seen from an eye, and the projectors that show it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mpcdi {
+    /// The meaning of warps.
+    pub profile: Profile,
     /// Columns and rows of the picture; `None` if the file does not say.
     pub buffer_size: Option<[u32; 2]>,
     /// One for each projector.
     pub regions: Vec<Region>,
 }
 
+/// The meaning of a warp's values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Profile {
+    /// 2d: points of the region, a part of the picture.
+    Picture,
+    /// 3d: points of the view through the region's frustum.
+    View,
+    /// a3 and sl: points of the wall in space.
+    Space,
+}
+
+/// A view from the eye: degrees to the right, upwards and clockwise, by which the eye is turned, in this order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frustum {
+    /// Yaw, pitch and roll.
+    pub turned: [f64; 3],
+    /// Angles from the view's direction to its left, right, upper and lower edge; left and down are negative.
+    pub edges: [f64; 4],
+}
+
 /// A projector.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Region {
     /// Its name.
     pub id: String,
@@ -30,20 +52,32 @@ pub struct Region {
     pub alpha: Option<(String, f64)>,
     /// The file of its beta map, which has the light that lifts its black.
     pub beta: Option<String>,
+    /// Its view; always there in [`Profile::View`].
+    pub frustum: Option<Frustum>,
+    /// The unit of its points in space, in metres; `None` if it is unknown.
+    pub unit_m: Option<f64>,
 }
+
+/// Units of points in space, in metres.
+const UNITS: [(&str, f64); 7] =
+    [("mm", 1e-3), ("cm", 0.01), ("dm", 0.1), ("m", 1.0), ("in", 0.0254), ("ft", 0.3048), ("yd", 0.9144)];
 
 /// The most projectors of a file.
 const MOST_REGIONS: usize = 256;
 /// The most elements, attributes and texts of `mpcdi.xml`.
 const MOST_NODES: u32 = 100_000;
+/// The farthest that the edge of a view may lie from its direction: flat pictures end at 90 degrees.
+const MOST_DEGREES: f64 = 89.0;
+/// Gammas that were applied to maps; others are mistakes, and count as none.
+const GAMMAS: RangeInclusive<f64> = 0.1..=10.0;
 /// The most columns or rows of a projector.
-const LARGEST_SIDE: u32 = 16_384;
+pub(super) const LARGEST_SIDE: u32 = 16_384;
 
 impl Mpcdi {
     /// Reads the text of `mpcdi.xml`.
     ///
     /// # Errors
-    /// It is not XML, no MPCDI, or of a profile that is not 2d; the text names the cure.
+    /// It is not XML, no MPCDI, or of an unknown profile; the text names the cure.
     pub fn read(text: &str) -> Result<Self, String> {
         let options = ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..ParsingOptions::default() };
         let document = Document::parse_with_options(text, options).map_err(|error| format!("mpcdi.xml: {error}"))?;
@@ -52,12 +86,17 @@ impl Mpcdi {
             return Err(format!("mpcdi.xml is no MPCDI: its root is <{}>", root.tag_name().name()));
         }
         let profile = attribute(root, "profile").unwrap_or("none");
-        if !profile.eq_ignore_ascii_case("2d") {
-            return Err(format!(
-                "its profile is {profile}, and only 2d is read, as a wall has one flat picture: export 2d from the tool \
-                 that wrote it"
-            ));
-        }
+        let profile = match profile.to_ascii_lowercase().as_str() {
+            "2d" => Profile::Picture,
+            "3d" => Profile::View,
+            "a3" | "sl" => Profile::Space,
+            _ => {
+                return Err(format!(
+                    "its profile is {}, and 2d, 3d, a3 and sl are read: export one of these from the tool that wrote it",
+                    profile.escape_default()
+                ));
+            }
+        };
         let display = child(root, "display").ok_or("mpcdi.xml has no <display>")?;
         let buffers: Vec<Node<'_, '_>> = children(display, "buffer").collect();
         let &[buffer] = &buffers[..] else {
@@ -67,39 +106,59 @@ impl Mpcdi {
         let buffer_size = side("Xresolution").zip(side("Yresolution")).map(<[u32; 2]>::from);
         let filesets: Vec<Node<'_, '_>> =
             child(root, "files").into_iter().flat_map(|files| children(files, "fileset")).collect();
-        let regions: Vec<Region> =
-            children(buffer, "region").map(|region| Region::read(region, &filesets)).collect::<Result<_, _>>()?;
+        let regions: Vec<Region> = children(buffer, "region")
+            .map(|region| Region::read(region, &filesets, profile))
+            .collect::<Result<_, _>>()?;
         if regions.is_empty() || regions.len() > MOST_REGIONS {
             return Err(format!("it has {} regions: from 1 to {MOST_REGIONS} are possible", regions.len()));
         }
-        Ok(Self { buffer_size, regions })
+        Ok(Self { profile, buffer_size, regions })
     }
 
-    /// The text of `mpcdi.xml`, in profile 2d, written at a `date` such as `2026-01-31 09:00:00`.
+    /// The text of `mpcdi.xml`, written at a `date` such as `2026-01-31 09:00:00`.
     pub fn write(&self, date: &str) -> String {
         let mut xml = String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
+        let profile = match self.profile {
+            Profile::Picture => "2d",
+            Profile::View => "3d",
+            Profile::Space => "a3",
+        };
         // Writing to a string cannot fail.
         let _ = writeln!(
             xml,
-            "<MPCDI profile=\"2d\" geometry=\"1\" level=\"1\" date=\"{date}\" version=\"2.0\">\n  <display>"
+            "<MPCDI profile=\"{profile}\" geometry=\"1\" level=\"1\" date=\"{date}\" version=\"2.0\">\n  <display>"
         );
         let size = self.buffer_size.map_or(String::new(), |[x, y]| format!(" Xresolution=\"{x}\" Yresolution=\"{y}\""));
         let _ = writeln!(xml, "    <buffer id=\"wall\"{size}>");
-        for Region { id, size: [columns, rows], at: [x, y], extent: [width, height], .. } in &self.regions {
+        for Region { id, size: [columns, rows], at: [x, y], extent: [width, height], frustum, .. } in &self.regions {
             let _ = writeln!(
                 xml,
                 "      <region id=\"{}\" Xresolution=\"{columns}\" Yresolution=\"{rows}\" x=\"{x}\" y=\"{y}\" \
-                 xsize=\"{width}\" ysize=\"{height}\"/>",
+                 xsize=\"{width}\" ysize=\"{height}\">",
                 escaped(id)
             );
+            if let Some(Frustum { turned: [yaw, pitch, roll], edges: [left, right, up, down] }) = frustum {
+                let _ = writeln!(
+                    xml,
+                    "        <frustum><yaw>{yaw}</yaw><pitch>{pitch}</pitch><roll>{roll}</roll>\
+                     <rightAngle>{right}</rightAngle><leftAngle>{left}</leftAngle><upAngle>{up}</upAngle>\
+                     <downAngle>{down}</downAngle></frustum>"
+                );
+            }
+            xml += "      </region>\n";
         }
         xml += "    </buffer>\n  </display>\n  <files>\n";
-        for Region { id, warp, alpha, beta, .. } in &self.regions {
+        for Region { id, warp, alpha, beta, unit_m, .. } in &self.regions {
+            let unit = UNITS.iter().find(|(_, metres)| Some(*metres) == *unit_m).map_or("unknown", |(name, _)| name);
+            let (unit, origin) = match self.profile {
+                Profile::Space => (unit, "unknown"),
+                Profile::Picture | Profile::View => ("2D", "idealEyePoint"),
+            };
             let _ = writeln!(xml, "    <fileset region=\"{}\">", escaped(id));
             let _ = writeln!(
                 xml,
                 "      <geometryWarpFile><path>{}</path><interpolation>linear</interpolation>\
-                 <geometricUnit>2D</geometricUnit><originof3DData>idealEyePoint</originof3DData></geometryWarpFile>",
+                 <geometricUnit>{unit}</geometricUnit><originof3DData>{origin}</originof3DData></geometryWarpFile>",
                 escaped(warp)
             );
             if let Some((path, gamma)) = alpha {
@@ -124,7 +183,7 @@ impl Mpcdi {
 }
 
 impl Region {
-    fn read(node: Node<'_, '_>, filesets: &[Node<'_, '_>]) -> Result<Self, String> {
+    fn read(node: Node<'_, '_>, filesets: &[Node<'_, '_>], profile: Profile) -> Result<Self, String> {
         let id = attribute(node, "id").ok_or("a <region> has no id")?.to_owned();
         let missing = |what: &str| format!("region \"{id}\" has no {what}");
         let number = |name: &str| {
@@ -139,14 +198,45 @@ impl Region {
         let fileset = filesets.iter().find(|files| attribute(**files, "region") == Some(&id));
         let fileset = *fileset.ok_or_else(|| missing("<fileset>"))?;
         let path = |node: Node<'_, '_>| Some(text_of(child(node, "path")?));
-        let warp = child(fileset, "geometryWarpFile").and_then(path).ok_or_else(|| missing("<geometryWarpFile>"))?;
+        let warp_node = child(fileset, "geometryWarpFile");
+        let warp =
+            warp_node.and_then(path).filter(|path| !path.is_empty()).ok_or_else(|| missing("<geometryWarpFile>"))?;
+        let unit = warp_node.and_then(|node| Some(text_of(child(node, "geometricUnit")?)));
+        let unit_m = unit.and_then(|unit| Some(UNITS.iter().find(|(name, _)| *name == unit)?.1));
+        let frustum = match (profile, child(node, "frustum")) {
+            (Profile::View, Some(frustum)) => Some(Frustum::read(frustum).map_err(|what| missing(&what))?),
+            (Profile::View, None) => return Err(missing("<frustum>")),
+            _ => None,
+        };
         let alpha = child(fileset, "alphaMap").and_then(|node| {
-            let gamma = child(node, "gammaEmbedded").and_then(|it| text_of(it).parse().ok());
-            Some((path(node)?, gamma.unwrap_or(1.0)))
+            let gamma = child(node, "gammaEmbedded").and_then(|it| text_of(it).parse::<f64>().ok());
+            Some((path(node)?, gamma.filter(|gamma| GAMMAS.contains(gamma)).unwrap_or(1.0)))
         });
         let beta = child(fileset, "betaMap").and_then(path);
         let (at, extent) = ([number("x")?, number("y")?], [number("xsize")?, number("ysize")?]);
-        Ok(Self { size: [side("Xresolution")?, side("Yresolution")?], at, extent, warp, alpha, beta, id })
+        let size = [side("Xresolution")?, side("Yresolution")?];
+        Ok(Self { size, at, extent, warp, alpha, beta, frustum, unit_m, id })
+    }
+}
+
+impl Frustum {
+    /// # Errors
+    /// The part that is missing or impossible.
+    fn read(node: Node<'_, '_>) -> Result<Self, String> {
+        let degrees = |name: &str| {
+            let text = child(node, name).map(text_of).ok_or_else(|| format!("<{name}> in its <frustum>"))?;
+            let degrees = text.parse::<f64>().ok().filter(|degrees| degrees.abs() <= 360.0);
+            degrees.ok_or_else(|| format!("degrees from -360 to 360 as <{name}>"))
+        };
+        let turned = [degrees("yaw")?, degrees("pitch")?, degrees("roll")?];
+        let edges @ [left, right, up, down] =
+            [degrees("leftAngle")?, degrees("rightAngle")?, degrees("upAngle")?, degrees("downAngle")?];
+        if !(left < right && down < up && edges.iter().all(|edge| edge.abs() < MOST_DEGREES)) {
+            return Err(format!(
+                "view between its edges, left < right and down < up, all within {MOST_DEGREES} degrees of its direction"
+            ));
+        }
+        Ok(Self { turned, edges })
     }
 }
 
@@ -210,9 +300,9 @@ mod tests {
             extent: [0.5, 0.25],
             warp: "proj1_warp.pfm".to_owned(),
             alpha: Some(("proj1_alpha.png".to_owned(), 2.2)),
-            beta: None,
+            ..Region::default()
         };
-        assert_eq!(read.regions, [region]);
+        assert_eq!((read.profile, &read.regions[..]), (Profile::Picture, &[region][..]));
         let others = THEIRS.replace("xsize", "xSize").replace("Xresolution", "xResolution").replace("ysize", "ySize");
         assert_eq!(Mpcdi::read(&others), Ok(read));
     }
@@ -227,9 +317,19 @@ mod tests {
             warp: "a/b.pfm".to_owned(),
             alpha: Some(("a.png".to_owned(), 2.2)),
             beta: Some("b.png".to_owned()),
+            ..Region::default()
         };
-        let mpcdi = Mpcdi { buffer_size: Some([4096, 2304]), regions: vec![region("row 1"), region("<\"&'>")] };
-        assert_eq!(Mpcdi::read(&mpcdi.write("2026-01-31 09:00:00")), Ok(mpcdi));
+        let plain = vec![region("row 1"), region("<\"&'>")];
+        let with = |frustum, unit_m| plain.iter().map(|it| Region { frustum, unit_m, ..it.clone() }).collect();
+        let frustum = Frustum { turned: [-54.5, 30.25, 7.0], edges: [-26.0, 25.5, 20.0, -21.0] };
+        for (profile, regions) in [
+            (Profile::Picture, plain.clone()),
+            (Profile::View, with(Some(frustum), None)),
+            (Profile::Space, with(None, Some(0.0254))),
+        ] {
+            let mpcdi = Mpcdi { profile, buffer_size: Some([4096, 2304]), regions };
+            assert_eq!(Mpcdi::read(&mpcdi.write("2026-01-31 09:00:00")), Ok(mpcdi));
+        }
     }
 
     #[test]
@@ -240,7 +340,22 @@ mod tests {
         };
         refused("", "mpcdi.xml: ");
         refused("<a/>", "its root is <a>");
-        refused(&THEIRS.replace("profile=\"2d\"", "profile=\"sl\""), "its profile is sl");
+        refused(&THEIRS.replace("profile=\"2d\"", "profile=\"4d\""), "its profile is 4d");
+        refused(&THEIRS.replace("profile=\"2d\"", "profile=\"3d\""), "\"proj1\" has no <frustum>");
+        let view = |edges: [&str; 4]| {
+            let [left, right, up, down] = edges;
+            let frustum = format!(
+                "><frustum><yaw>5</yaw><pitch>-10</pitch><roll>7</roll><rightAngle>{right}</rightAngle>\
+                 <leftAngle>{left}</leftAngle><upAngle>{up}</upAngle><downAngle>{down}</downAngle></frustum></region>"
+            );
+            THEIRS.replace("profile=\"2d\"", "profile=\"3d\"").replacen("/>", &frustum, 1)
+        };
+        let read = Mpcdi::read(&view(["-20", "12", "10", "-10"])).expect("MPCDI");
+        let expected = Frustum { turned: [5.0, -10.0, 7.0], edges: [-20.0, 12.0, 10.0, -10.0] };
+        assert_eq!((read.profile, read.regions[0].frustum), (Profile::View, Some(expected)));
+        refused(&view(["20", "12", "10", "-10"]), "no view between its edges");
+        refused(&view(["-20", "90", "10", "-10"]), "no view between its edges");
+        refused(&view(["-20", "x", "10", "-10"]), "no degrees from -360 to 360 as <rightAngle>");
         refused(&THEIRS.replace("<region id=\"proj1\"", "<region id=\"proj2\""), "\"proj2\" has no <fileset>");
         refused(&THEIRS.replace("\"300\"", "\"0\""), "no Xresolution from 1 to");
         refused(&THEIRS.replace("\"0.1\"", "\"NaN\""), "no number x");

@@ -343,9 +343,20 @@ fn the_shape_of_a_wall_is_read_checked_and_kept() {
     let wrong = problem(&text("[surface.fold]\nat_m = 1.5\nangle = 180"));
     assert!(wrong.contains("leave [surface] out for a flat wall"), "{wrong}");
     let wrong = problem(&text("[surface.sphere]\nradius_m = 2"));
-    assert!(wrong.starts_with("a.toml:2: ") && wrong.contains("`cylinder` or `fold`"), "{wrong}");
+    assert!(wrong.starts_with("a.toml:2: ") && wrong.contains("`cylinder`, `fold`, `dome`"), "{wrong}");
     let wrong = problem(&text("[surface]"));
-    assert!(wrong.starts_with("a.toml:2: ") && wrong.contains("add [surface.cylinder] or [surface.fold]"), "{wrong}");
+    assert!(wrong.starts_with("a.toml:2: ") && wrong.contains("[surface.fold] or [surface.dome]"), "{wrong}");
     let both = "[surface.cylinder]\nradius_m = 2\nat_m = 1.5\n[surface.fold]\nat_m = 1.5\nangle = 120";
-    assert!(problem(&text(both)).contains("leave out cylinder or fold"), "{}", problem(&text(both)));
+    assert!(problem(&text(both)).contains("leave out the others"), "{}", problem(&text(both)));
+    for unrolled in [Unrolling::Azimuthal, Unrolling::Longitude] {
+        let name = format!("{unrolled:?}").to_lowercase();
+        let dome = text(&format!("[surface.dome]\nradius_m = 2\nat_m = [1.5, 0.5]\nunrolled = \"{name}\""));
+        let dome = Wall::from_toml("a.toml", &dome).unwrap();
+        assert_eq!(dome.surface(), Some(Surface::Dome { radius_m: 2.0, at_m: [1.5, 0.5], unrolled }));
+        assert_eq!(Wall::from_toml("a.toml", &dome.to_toml()).unwrap().surface(), dome.surface());
+    }
+    let plain = Wall::from_toml("a.toml", &text("[surface.dome]\nradius_m = 2\nat_m = [1.5, 0.5]")).unwrap();
+    assert!(matches!(plain.surface(), Some(Surface::Dome { unrolled: Unrolling::Azimuthal, .. })));
+    let wrong = problem(&text("[surface.dome]\nradius_m = 0.5\nat_m = [1.5, 0.5]"));
+    assert!(wrong.starts_with("a.toml:2: radius_m = 0.5") && wrong.contains("170 degrees"), "{wrong}");
 }

@@ -57,14 +57,7 @@ fn main() -> anyhow::Result<()> {
     print(&"as the file has it", 0, before, ["", ""], light_of(&rig, &rig.wall)?);
     let tripod = rig.camera([6000, 4000], DVec3::new(2.2, 1.3, 4.6), DVec2::new(2.0, 1.125), 1.0);
     let tripod = Camera { noise: 0.01, exposure: 0.75, colours: Some(COLOURS), ..tripod };
-    measure(
-        &mut rig,
-        &plan,
-        &folder.join("tripod"),
-        ("24 megapixels on a tripod", "--light"),
-        &mut |_| tripod.clone(),
-        1,
-    )?;
+    measure(&mut rig, &plan, &folder.join("tripod"), "24 megapixels on a tripod", &mut |_| tripod.clone(), 1)?;
     let mut random = Random::new(5);
     let places = [DVec3::new(0.8, 1.4, 3.6), DVec3::new(2.1, 1.7, 3.8), DVec3::new(3.3, 1.3, 3.5)];
     let view = rig.clone();
@@ -77,8 +70,7 @@ fn main() -> anyhow::Result<()> {
         Camera { jpeg: Some(90), noise: 0.02, blur_px: 0.9, exposure: 0.75, colours: Some(COLOURS), ..camera }
     };
     let title = "12 megapixels, JPEG, by hand ×3";
-    // The phone's JPEG shows places well, and its light is refused.
-    measure(&mut rig, &plan, &folder.join("phone"), (title, "--yes"), &mut phone, places.len())?;
+    measure(&mut rig, &plan, &folder.join("phone"), title, &mut phone, places.len())?;
     bump(&rig, &folder.join("tripod"), "24 megapixels, after a bump", &tripod)?;
     bump(&rig, &folder.join("phone"), "12 megapixels, after a bump", &phone(1))?;
     if kept.is_none() {
@@ -92,7 +84,7 @@ fn measure(
     rig: &mut Rig,
     plan: &Plan,
     folder: &Path,
-    (title, kind): (&str, &str),
+    title: &str,
     camera_at: &mut dyn FnMut(usize) -> Camera,
     n_places: usize,
 ) -> anyhow::Result<()> {
@@ -100,9 +92,10 @@ fn measure(
     fs::create_dir_all(&photos)?;
     let file = folder.join("wall.toml");
     fs::write(&file, rig.wall.to_toml())?;
-    let n_patterns = if kind == "--light" { plan.n_with_light() } else { plan.n_patterns() };
     let mut n_photos = 0;
-    for (place, pattern) in (0..n_places).flat_map(|place| (0..n_patterns).map(move |pattern| (place, pattern))) {
+    for (place, pattern) in
+        (0..n_places).flat_map(|place| (0..plan.n_with_light()).map(move |pattern| (place, pattern)))
+    {
         rig.show(plan, pattern, &[]);
         let camera = camera_at(place);
         let ending = if camera.jpeg.is_some() { "jpg" } else { "png" };
@@ -110,7 +103,7 @@ fn measure(
         let photograph = camera.photograph(&rig.projectors, None, n_photos);
         fs::write(photos.join(format!("{place}-{pattern}.{ending}")), photograph)?;
     }
-    let Cost { most_kb, cpu_s } = align(&file, &photos, kind)?;
+    let Cost { most_kb, cpu_s } = align(&file, &photos, "--light")?;
     let wall = Wall::load(&file)?;
     let cost = [format!("{cpu_s:.1}"), format!("{:.0}", most_kb / 1e3)];
     print(&title, n_photos, rig.agreement(&wall), [&cost[0], &cost[1]], light_of(rig, &wall)?);

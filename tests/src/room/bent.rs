@@ -16,6 +16,9 @@ const OPTICS: &str = "[optics]\ngamma = 2.2\nblack_level = 0.004\n";
 const TURNED: &str = "[[projector]]\nname = \"row 1 column 2\"\nrotation = 180\ngain = [0.9, 1.0, 0.8]\n\
                       [[projector]]\nname = \"row 1 column 3\"\nflip = \"horizontal\"\n";
 
+/// One projector hangs upside down.
+pub(crate) const UPSIDE_DOWN: &str = "[[projector]]\nname = \"row 1 column 2\"\nrotation = 180\n";
+
 /// A quarter of a cylinder, three projectors.
 pub(crate) fn cylinder(pixels: [u32; 2], keys: [&str; 2]) -> Rig {
     let radius = 2.0;
@@ -29,12 +32,20 @@ pub(crate) fn fold(pixels: [u32; 2], keys: [&str; 2]) -> Rig {
     Rig::on(Surface::Fold { middle: 1.5, turned: FRAC_PI_6 }, [3.0, 0.75], 3, pixels, 0.01, keys)
 }
 
+/// A part of a sphere, three projectors; unrolled around its middle or by longitude and latitude.
+pub(crate) fn dome(by_longitude: bool, pixels: [u32; 2], keys: [&str; 2]) -> Rig {
+    let canvas_m = [3.0, 0.75];
+    let surface = Surface::Dome { middle: DVec2::from(canvas_m) / 2.0, radius: 2.2, by_longitude };
+    Rig::on(surface, canvas_m, 3, pixels, 0.01, keys)
+}
+
 #[test]
-fn a_cylinder_and_a_fold_show_no_seam_and_no_displacement() {
+fn a_cylinder_a_fold_and_a_dome_show_no_seam_and_no_displacement() {
     let gpu = gpu();
     for (name, rig, n_points) in [
         ("cylinder", cylinder([256, 192], [OPTICS, TURNED]), [33, 25]),
         ("fold", fold([256, 192], [OPTICS, TURNED]), [257, 49]),
+        ("dome", dome(false, [256, 192], [OPTICS, TURNED]), [33, 25]),
     ] {
         let wall = rig.true_wall(n_points);
         assert!(wall.black() > 0.007 && wall.black() < 0.013, "{}", wall.black());

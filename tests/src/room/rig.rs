@@ -246,7 +246,9 @@ impl Rig {
         // Some of a projector's points, and those in the middle of the next one's.
         let mut stretched = [f64::INFINITY, 0.0];
         for (a, b) in lands.iter().step_by(97).zip(lands.iter().skip(lands.len() / 5).step_by(97)) {
-            let [on_canvas, on_wall] = [0, 1].map(|side| a[side].distance(b[side]));
+            // Straight through the room: no layout of a dome keeps all distances.
+            let [on_canvas, on_wall] =
+                [0, 1].map(|side| self.surface.in_space(a[side]).distance(self.surface.in_space(b[side])));
             if on_wall > 0.2 {
                 stretched = [f64::min(stretched[0], on_canvas / on_wall), f64::max(stretched[1], on_canvas / on_wall)];
             }

@@ -14,6 +14,9 @@ pub(crate) enum Surface {
     Cylinder { middle: f64, radius: f64 },
     /// Two planes that meet at an upright edge, each turned towards the audience from the plane z = 0.
     Fold { middle: f64, turned: f64 },
+    /// A part of a sphere around the audience, which touches the plane z = 0 at its middle. Unrolled, places lie as far from
+    /// the middle and in the direction in which they do there; or, `by_longitude`, right by longitude and up by latitude.
+    Dome { middle: DVec2, radius: f64, by_longitude: bool },
 }
 
 impl Surface {
@@ -30,6 +33,7 @@ impl Surface {
                 let along = place.x - middle;
                 DVec3::new(middle + along * cos, place.y, along.abs() * sin)
             }
+            Self::Dome { middle, radius, .. } => middle.extend(0.0) + radius * (DVec3::Z - self.normal(place)),
         }
     }
 
@@ -60,6 +64,19 @@ impl Surface {
                 let (t, along) = nearest.unwrap_or((f64::NAN, f64::NAN));
                 DVec2::new(middle + along, from.y + t * ray.y)
             }
+            Self::Dome { middle, radius, by_longitude } => {
+                // The farther of two crossings is ahead.
+                let from_centre = from - middle.extend(radius);
+                let nearest = -from_centre.dot(ray) / ray.dot(ray);
+                let beside = from_centre + nearest * ray;
+                let half = ((radius * radius - beside.length_squared()) / ray.length_squared()).sqrt();
+                let at = (beside + half * ray) / radius;
+                if by_longitude {
+                    return middle + radius * DVec2::new(at.x.atan2(-at.z), at.y.atan2(at.x.hypot(at.z)));
+                }
+                let angle = at.x.hypot(at.y).atan2(-at.z);
+                middle + radius * angle * DVec2::new(at.x, at.y).normalize_or_zero()
+            }
         }
     }
 
@@ -70,6 +87,15 @@ impl Surface {
             Self::Cylinder { middle, radius } => (place.x - middle) / radius,
             Self::Fold { middle, turned } if (place.x - middle).abs() > 1e-6 => turned * (place.x - middle).signum(),
             Self::Fold { .. } => 0.0,
+            Self::Dome { middle, radius, by_longitude: true } => {
+                let [(east, ahead), (up, out)] = ((place - middle) / radius).to_array().map(f64::sin_cos);
+                return -DVec3::new(east * out, up, -ahead * out);
+            }
+            Self::Dome { middle, radius, by_longitude: false } => {
+                let away = place - middle;
+                let (sin, cos) = (away.length() / radius).sin_cos();
+                return -(away.normalize_or_zero() * sin).extend(-cos);
+            }
         };
         DVec3::new(-angle.sin(), 0.0, angle.cos())
     }
@@ -81,6 +107,8 @@ fn a_ray_to_a_place_meets_the_wall_there() {
         Surface::Flat,
         Surface::Cylinder { middle: 1.5, radius: 1.9 },
         Surface::Fold { middle: 1.5, turned: std::f64::consts::FRAC_PI_6 },
+        Surface::Dome { middle: DVec2::new(1.5, 0.4), radius: 2.1, by_longitude: false },
+        Surface::Dome { middle: DVec2::new(1.5, 0.4), radius: 2.1, by_longitude: true },
     ];
     for surface in walls {
         for n in 0..60 {
@@ -88,6 +116,12 @@ fn a_ray_to_a_place_meets_the_wall_there() {
             let from = DVec3::new(1.2, 0.7, 1.6);
             let met = surface.met(from, surface.in_space(place) - from);
             assert!(met.distance(place) < 1e-9, "{surface:?}: {place} {met}");
+            if matches!(surface, Surface::Dome { .. }) {
+                // Off its centre by the radius, straight from the audience.
+                let off = surface.in_space(place) + 2.1 * surface.normal(place) - DVec3::new(1.5, 0.4, 2.1);
+                assert!(off.length() < 1e-9, "{surface:?}: {off}");
+                continue;
+            }
             // Neighbours on the wall are as far apart in space: it is unrolled without stretching.
             let beside = place + DVec2::new(1e-6, 0.0);
             let stretched = surface.in_space(place).distance(surface.in_space(beside)) / 1e-6;

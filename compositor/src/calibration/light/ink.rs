@@ -15,11 +15,16 @@ pub(in crate::calibration) enum Ink {
     Quarter,
     /// Three of four pixels are white.
     ThreeQuarters,
+    /// One of eight pixels is white.
+    Eighth,
+    /// One of sixteen pixels is white.
+    Sixteenth,
 }
 
 /// Inks of bright and dark squares side by side. The camera sees about the same contrast between the two of each pair, so
 /// that crossings keep their places and are found; black is the most frequent, because the dimmest light is the hardest to
-/// measure.
+/// measure. Dots of an eighth and a sixteenth measure the camera's curve close to black: where a lens darkens the edges of
+/// the picture, black lies below all that quarters measure, and dark greys would be told by a guess.
 const PAIRS: [[Ink; 2]; 12] = [
     [Ink::Grey(255), Ink::Quarter],
     [Ink::Rows, Ink::Grey(0)],
@@ -27,9 +32,9 @@ const PAIRS: [[Ink; 2]; 12] = [
     [Ink::Grey(192), Ink::Grey(0)],
     [Ink::Grey(255), Ink::Grey(96)],
     [Ink::Without(1), Ink::Grey(0)],
-    [Ink::ThreeQuarters, Ink::Grey(64)],
+    [Ink::ThreeQuarters, Ink::Sixteenth],
     [Ink::Grey(160), Ink::Grey(0)],
-    [Ink::Grey(255), Ink::Quarter],
+    [Ink::Grey(255), Ink::Eighth],
     [Ink::Columns, Ink::Grey(0)],
     [Ink::Without(2), Ink::Grey(96)],
     [Ink::Grey(224), Ink::Grey(64)],
@@ -58,6 +63,8 @@ impl Ink {
             Self::Rows => row.is_multiple_of(2),
             Self::Columns => column.is_multiple_of(2),
             Self::Quarter => row.is_multiple_of(2) && column.is_multiple_of(2),
+            Self::Eighth => row.is_multiple_of(4) && column.is_multiple_of(2),
+            Self::Sixteenth => row.is_multiple_of(4) && column.is_multiple_of(4),
             Self::ThreeQuarters => !(row.is_multiple_of(2) && column.is_multiple_of(2)),
         };
         [if is_white { 255 } else { 0 }; 3]
@@ -70,6 +77,8 @@ impl Ink {
             Self::Grey(255) => Some(1.0),
             Self::Rows | Self::Columns => Some(0.5),
             Self::Quarter => Some(0.25),
+            Self::Eighth => Some(0.125),
+            Self::Sixteenth => Some(0.0625),
             Self::ThreeQuarters => Some(0.75),
             Self::Grey(_) | Self::Without(_) => None,
         }

@@ -2,7 +2,8 @@
 //!
 //! As in Mitsunaga and Nayar, "Radiometric Self Calibration" (1999), light is a smooth function of the value, linear in its
 //! unknown coefficients, and known ratios of light determine it. There the ratios are those of exposure times; here they
-//! are those of black, a quarter, a half, three quarters and white within each photograph, which are known better.
+//! are those of black, a sixteenth, an eighth, a quarter, a half, three quarters and white within each photograph, which are
+//! known better.
 
 use glam::DVec2;
 
