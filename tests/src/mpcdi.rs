@@ -113,6 +113,9 @@ fn no_file_is_written_over_and_an_error_leaves_none() {
         assert!(code == Some(1) && said.contains("give metres from 0.01 to 1000"), "{size:?}: {said}");
         assert_eq!(files(), before);
     }
+    let (code, said) = run(&["import", &path("ours.mpcdi"), &path("new.toml"), "--shape", "dome"]);
+    assert!(code == Some(1) && said.contains("leave out --shape and --angle"), "{said}");
+    assert_eq!(files(), before);
     // A mesh file of another wall: the first one, which was free, is gone again.
     fs::write(path("new.2.pfm"), "another's").unwrap();
     let (code, said) = run(&["import", &path("ours.mpcdi"), &path("new.toml")]);

@@ -4,7 +4,8 @@
                                         from the eye, in a3 the point in metres; x to the right, y up, z towards the audience
     mpcdi_space.py write FILE READING   writes four views of a flat wall that overlap, with alpha maps, and prints places on the
                                         wall at nine pixels of each: column, row, x, y. READING is "standard", or "library" for
-                                        the angles of the example in the standard's library, or "none" for angles that fit none
+                                        the angles of the example in the standard's library, "none" for angles that fit none, or
+                                        "holes" for the standard's and a pixel without numbers
 """
 
 import math
@@ -134,7 +135,8 @@ def write(path, reading):
                         truth += [column, row, x, y]
             for row in reversed(range(ROWS)):
                 for column in range(COLUMNS):
-                    body += struct.pack("<fff", (column + 0.5) / COLUMNS, (row + 0.5) / ROWS, math.nan)
+                    u = math.nan if reading == "holes" and (column, row) == (9, 7) else (column + 0.5) / COLUMNS
+                    body += struct.pack("<fff", u, (row + 0.5) / ROWS, math.nan)
             archive.writestr(f"{name}.pfm", b"PF\n%d %d\n-1.0\n" % (COLUMNS, ROWS) + body)
             archive.writestr(f"{name}.png", png(alpha))
             print(name, *truth, sep="\t")

@@ -184,7 +184,10 @@ fn the_overlaps_say_how_a_writer_means_its_angles() {
     let (code, said) = run(&["import", &path("none.mpcdi"), &path("none.toml")]);
     assert!(code == Some(1) && said.contains("by no reading of yaw, pitch and roll"), "{said}");
     assert!(!folder.path().join("none.toml").exists());
-    // A flat wall has no view behind the eye, and a fold needs its angle.
+    let Some(_) = python(&["write", &path("holes.mpcdi"), "holes"]) else { return };
+    let (code, said) = run(&["import", &path("holes.mpcdi"), &path("none.toml")]);
+    assert!(code == Some(1) && said.contains("\"upper left\": its warp has pixels without numbers"), "{said}");
+    // A fold needs its angle, and no other shape has one.
     let (code, said) = run(&["import", &path("standard.mpcdi"), &path("none.toml"), "--shape", "fold"]);
     assert!(code == Some(1) && said.contains("give --angle 120"), "{said}");
     let (code, said) = run(&["import", &path("standard.mpcdi"), &path("none.toml"), "--angle", "90"]);

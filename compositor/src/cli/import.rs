@@ -82,7 +82,14 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     let mut archive = Archive::open(open()?).map_err(fault)?;
     let document = archive.document().map_err(fault)?;
     let laid = match document.profile {
-        Profile::Picture => None,
+        Profile::Picture => {
+            ensure!(
+                args.shape == Shape::Flat && args.angle.is_none(),
+                "{} has a picture, whatever the wall's shape: leave out --shape and --angle, and add [surface] to the wall file",
+                file.display()
+            );
+            None
+        }
         Profile::View | Profile::Space => Some(laid(args, &mut archive, &document)?),
     };
     let canvas_m = laid.as_ref().map_or_else(|| canvas_m(args, &document), |laid| Ok(laid.canvas_m))?;
