@@ -195,13 +195,30 @@ fn the_overlaps_say_how_a_writer_means_its_angles() {
 }
 
 #[test]
+fn projectors_that_meet_without_an_overlap_make_one_canvas() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let text = "canvas_m = [4.0, 1.5]\n[grid]\ncolumns = 2\nrows = 1\npixels = [160, 120]\noverlap = [0, 0]\n";
+    fs::write(path("ours.toml"), text).unwrap();
+    for profile in ["3d", "a3"] {
+        let (mpcdi, wall) = (path(&format!("{profile}.mpcdi")), path(&format!("{profile}.toml")));
+        let (code, said) = run(&["export", &path("ours.toml"), &mpcdi, "--profile", profile]);
+        assert_eq!(code, Some(0), "{said}");
+        let (code, said) = run(&["import", &mpcdi, &wall, "--width", "4"]);
+        assert!(code == Some(0) && said.contains("counts as flat") == (profile == "3d"), "{said}");
+        let [width_m, height_m] = Wall::load(Path::new(&wall)).unwrap().canvas_m();
+        assert!((width_m - 4.0).abs() < 1e-9 && (height_m - 1.5).abs() < 0.05, "{width_m} {height_m}");
+    }
+}
+
+#[test]
 fn meshes_without_a_shape_are_exported_as_a_picture_only() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
     wall_of(&bent::cylinder([64, 48], ["", ""]), [17, 13], "", folder.path());
     for profile in ["3d", "a3"] {
         let (code, said) = run(&["export", &path("ours.toml"), &path("ours.mpcdi"), "--profile", profile]);
-        assert!(code == Some(1) && said.contains("add [surface], or export profile 2d"), "{said}");
+        assert!(code == Some(1) && said.contains("add [surface] if it is not flat, or export profile 2d"), "{said}");
     }
     assert!(!folder.path().join("ours.mpcdi").exists());
 }

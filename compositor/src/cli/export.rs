@@ -50,7 +50,7 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<()> {
     let is_flat = wall.projectors().iter().all(|projector| projector.mesh.is_none());
     ensure!(
         args.profile == ExportProfile::Picture || wall.surface().is_some() || is_flat,
-        "{} has meshes and does not say the wall's shape: add [surface], or export profile 2d",
+        "{} has meshes and does not say the wall's shape: add [surface] if it is not flat, or export profile 2d",
         args.wall.display()
     );
     let profile = match args.profile {

@@ -36,9 +36,9 @@ pub struct ImportArgs {
     /// Its height in metres, for a file of profile 2d [default: by the shape of the picture in the file]
     #[arg(long, value_name = "M")]
     pub height: Option<f64>,
-    /// Shape of the wall, for files of the profiles 3d, a3 and sl, which show directions or points in space
-    #[arg(long, value_enum, default_value_t = Shape::Flat)]
-    pub shape: Shape,
+    /// Shape of the wall, for files of the profiles 3d, a3 and sl, which show directions or points in space [default: flat]
+    #[arg(long, value_enum)]
+    pub shape: Option<Shape>,
     /// Angle between the planes of a fold in degrees, for a file of profile 3d, whose eye stands before the edge
     #[arg(long, value_name = "DEGREES")]
     pub angle: Option<f64>,
@@ -84,7 +84,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     let laid = match document.profile {
         Profile::Picture => {
             ensure!(
-                args.shape == Shape::Flat && args.angle.is_none(),
+                args.shape.is_none_or(|shape| shape == Shape::Flat) && args.angle.is_none(),
                 "{} has a picture, whatever the wall's shape: leave out --shape and --angle, and add [surface] to the wall file",
                 file.display()
             );
@@ -107,7 +107,13 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     Wall::from_toml(&wall_file.display().to_string(), &text)?;
     written.write(wall_file.clone(), text.as_bytes())?;
     written.keep();
-    let how = laid.map_or("--width and --height set others".to_owned(), |laid| laid.line);
+    // Directions fit any shape.
+    let shape = if args.shape.is_none() && document.profile == Profile::View {
+        "; the wall counts as flat, and --shape names another"
+    } else {
+        ""
+    };
+    let how = laid.map_or("--width and --height set others".to_owned(), |laid| laid.line) + shape;
     say(format_args!(
         "wrote {} with {} on a canvas of {:.4} m × {:.4} m ({how}); their places are the file's, and shares of light follow \
          from overlaps; {}; black_level and gain are to be set",
@@ -187,7 +193,7 @@ fn laid(args: &ImportArgs, archive: &mut Archive<File>, document: &Mpcdi) -> any
     let rough = Rough { regions: &document.regions, warps: &warps, maps: &maps };
     let (places, shape, metres, line) = if document.profile == Profile::Space {
         ensure!(args.angle.is_none(), "--angle follows from the points in a file of this profile: leave it out");
-        let (places, fitted) = points::places(args.shape, &rough).map_err(fault)?;
+        let (places, fitted) = points::places(args.shape.unwrap_or(Shape::Flat), &rough).map_err(fault)?;
         let has_unit = document.regions.iter().any(|region| region.unit_m.is_some());
         (places, fitted.surface, has_unit.then_some(1.0), "it lies where points in space do".to_owned())
     } else {
@@ -210,8 +216,9 @@ fn laid(args: &ImportArgs, archive: &mut Archive<File>, document: &Mpcdi) -> any
 
 /// The shape of a wall that is seen from an eye, in units of the eye's distance from it.
 fn unit_surface(args: &ImportArgs) -> anyhow::Result<Option<Surface>> {
-    ensure!(args.shape == Shape::Fold || args.angle.is_none(), "--angle is that of --shape fold: leave it out");
-    Ok(match (args.shape, args.angle) {
+    let shape = args.shape.unwrap_or(Shape::Flat);
+    ensure!(shape == Shape::Fold || args.angle.is_none(), "--angle is that of --shape fold: leave it out");
+    Ok(match (shape, args.angle) {
         (Shape::Flat, _) => None,
         (Shape::Cylinder, _) => Some(Surface::Cylinder { radius_m: 1.0, at_m: 0.0 }),
         (Shape::Dome, _) => Some(Surface::Dome { radius_m: 1.0, at_m: [0.0; 2], unrolled: Unrolling::Azimuthal }),

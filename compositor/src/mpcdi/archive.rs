@@ -14,6 +14,8 @@ use crate::wall::mesh::pfm::Pfm;
 /// An archive that is read; nothing is unpacked beyond its limit.
 pub struct Archive<R: Read + Seek> {
     zip: ZipArchive<R>,
+    /// Bytes that were unpacked so far: regions may name one file again and again.
+    n_unpacked: u64,
 }
 
 /// The standard's name, and one that some programs write.
@@ -24,6 +26,8 @@ const LONGEST_DOCUMENT: u64 = 1 << 20;
 const LONGEST_MAP: u64 = 1 << 29;
 /// The longest warp, in bytes, which memory holds: 12 for each pixel of a projector, of which the largest have 7680×4320.
 const LONGEST_WARP: u64 = 12 * (1 << 25) + 256;
+/// The most bytes of all that is unpacked, some of it twice: the warps and maps of 32 of the largest projectors.
+const MOST_UNPACKED: u64 = 1 << 35;
 const _: () = assert!(LONGEST_WARP >= 12 * 7680 * 4320);
 
 impl<R: Read + Seek> Archive<R> {
@@ -33,7 +37,7 @@ impl<R: Read + Seek> Archive<R> {
     /// It is no zip.
     pub fn open(file: R) -> Result<Self, String> {
         let zip = ZipArchive::new(file).map_err(|error| format!("it is no MPCDI file, which is a zip: {error}"))?;
-        Ok(Self { zip })
+        Ok(Self { zip, n_unpacked: 0 })
     }
 
     /// The document in it.
@@ -87,6 +91,10 @@ impl<R: Read + Seek> Archive<R> {
         start.read_to_end(&mut bytes).map_err(|error| format!("{name} cannot be unpacked: {error}"))?;
         if start.limit() == 0 {
             return Err(format!("{name} has more than {longest} bytes"));
+        }
+        self.n_unpacked += bytes.len() as u64;
+        if self.n_unpacked > MOST_UNPACKED {
+            return Err(format!("its warps and maps have more than {} GB: write coarser ones", MOST_UNPACKED >> 30));
         }
         Ok(bytes)
     }

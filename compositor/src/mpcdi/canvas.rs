@@ -42,6 +42,9 @@ const SAMPLES: [u32; 2] = [24, 18];
 const FADED: f64 = 0.98;
 /// Light by which a point is beyond the picture.
 const DARK: f64 = 0.02;
+/// The farthest beyond its edge, as a part of a projector, that a place counts as lit: projectors that meet without an overlap
+/// leave a gap, by rounding.
+const GAP: f64 = 1e-3;
 /// Cells in which the largest rectangle that is lit is found, along the wall's longer side.
 const CELLS: f64 = 192.0;
 
@@ -217,5 +220,5 @@ fn canvas_at(projector: &Projector, raster: DVec2) -> Option<DVec2> {
 fn raster_at(projector: &Projector, canvas: DVec2) -> Option<DVec2> {
     let image = projector.mesh.as_ref()?.image_near(canvas);
     let raster = apply(projector.raster_from_image()?, image)?;
-    (raster.cmpge(DVec2::ZERO).all() && raster.cmple(DVec2::ONE).all()).then_some(raster)
+    (raster.cmpge(DVec2::splat(-GAP)).all() && raster.cmple(DVec2::splat(1.0 + GAP)).all()).then_some(raster)
 }

@@ -33,6 +33,9 @@ pub enum Surface {
     },
 }
 
+/// The greatest radius of a wall that is not flat: over its width, a canvas bends by less than a pixel there.
+const MOST_RADIUS_M: f64 = 1e5;
+
 /// How a sphere is laid out as a flat canvas: no way keeps all distances.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -109,11 +112,19 @@ impl From<Surface> for Tables {
 impl Surface {
     /// Refuses shapes that hold no canvas of this width and height in metres; the text names the cure.
     pub(super) fn check(&self, [width_m, height_m]: [f64; 2]) -> Result<(), String> {
+        if let Self::Cylinder { radius_m, .. } | Self::Dome { radius_m, .. } = *self
+            && !(radius_m > 0.0 && radius_m <= MOST_RADIUS_M)
+        {
+            return Err(format!(
+                "radius_m = {radius_m:?}: a radius is above 0 and at most {MOST_RADIUS_M} m; leave [surface] out for a flat \
+                 wall"
+            ));
+        }
         match *self {
             Self::Cylinder { radius_m, at_m } => {
                 let farthest = at_m.max(width_m - at_m) / radius_m;
                 // A little more than half a turn to either side would meet itself.
-                if radius_m > 0.0 && farthest <= 3.0 && (0.0..=width_m).contains(&at_m) {
+                if farthest <= 3.0 && (0.0..=width_m).contains(&at_m) {
                     return Ok(());
                 }
                 Err(format!(
@@ -137,12 +148,18 @@ impl Surface {
                     Unrolling::Azimuthal => farthest.length() <= 3.0,
                     Unrolling::Longitude => farthest.x <= 3.0 && farthest.y <= 1.5,
                 };
-                if radius_m > 0.0 && fits && (0.0..=width_m).contains(&x) && (0.0..=height_m).contains(&y) {
+                if !((0.0..=width_m).contains(&x) && (0.0..=height_m).contains(&y)) {
+                    return Err(format!(
+                        "at_m = [{x:?}, {y:?}]: the dome's middle lies on the canvas, which is {width_m} m × {height_m} m: \
+                         give its distances from the canvas's left and lower edge"
+                    ));
+                }
+                if fits {
                     return Ok(());
                 }
                 Err(format!(
                     "radius_m = {radius_m} and at_m = [{x}, {y}]: a canvas of {width_m} m × {height_m} m lies within 170 \
-                     degrees of the dome's middle (85 degrees up and down if unrolled by longitude), and at_m is on it"
+                     degrees of the dome's middle (85 degrees up and down if unrolled by longitude): give the dome's radius"
                 ))
             }
         }

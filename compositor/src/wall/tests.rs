@@ -359,4 +359,10 @@ fn the_shape_of_a_wall_is_read_checked_and_kept() {
     assert!(matches!(plain.surface(), Some(Surface::Dome { unrolled: Unrolling::Azimuthal, .. })));
     let wrong = problem(&text("[surface.dome]\nradius_m = 0.5\nat_m = [1.5, 0.5]"));
     assert!(wrong.starts_with("a.toml:2: radius_m = 0.5") && wrong.contains("170 degrees"), "{wrong}");
+    for radius in ["0", "-1", "inf", "nan", "1e300"] {
+        let wrong = problem(&text(&format!("[surface.dome]\nradius_m = {radius}\nat_m = [1.5, 0.5]")));
+        assert!(wrong.contains("a radius is above 0 and at most 100000 m"), "{wrong}");
+    }
+    let wrong = problem(&text("[surface.dome]\nradius_m = 2\nat_m = [1e9, 0.5]"));
+    assert!(wrong.contains("at_m = [1000000000.0, 0.5]: the dome's middle lies on the canvas"), "{wrong}");
 }

@@ -1,4 +1,4 @@
-//! The memory that this machine can give a program, as the system tells it.
+//! The memory and disk that this machine can give a program, as the system tells it.
 
 use std::{
     fs,
@@ -44,6 +44,17 @@ pub(super) fn available_bytes() -> Option<u64> {
     let counts = fs::read_to_string("/proc/meminfo").ok()?;
     let kilobytes = counts.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?.trim().strip_suffix(" kB")?;
     kilobytes.parse::<u64>().ok()?.checked_mul(1024)
+}
+
+/// Bytes that this user may still write to the disk of a folder, if the system tells.
+pub fn free_disk(folder: &Path) -> Option<u64> {
+    #[cfg(unix)]
+    return rustix::fs::statvfs(folder).ok().map(|disk| disk.f_bavail.saturating_mul(disk.f_frsize));
+    #[cfg(not(unix))]
+    {
+        let _ = folder;
+        None
+    }
 }
 
 /// Names of a control group's files, and the line of its `memory.stat` with the cache that can be dropped.
@@ -96,6 +107,14 @@ fn addresses_left() -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(unix)]
+    #[test]
+    fn the_free_disk_is_known() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(free_disk(folder.path()).unwrap() > 0);
+        assert_eq!(free_disk(&folder.path().join("nowhere")), None);
+    }
 
     #[test]
     fn the_groups_of_a_process_and_those_above_count() {

@@ -190,7 +190,7 @@ fn decode_bytes(name: &str, bytes: &[u8]) -> Result<Image, String> {
 ///
 /// ITU-T T.81, Annex B: segments of a marker and a length; after a scan's segment its data, in which a zero or a restart
 /// marker (D0 to D7) follows each FF.
-fn is_whole_jpeg(bytes: &[u8]) -> bool {
+pub fn is_whole_jpeg(bytes: &[u8]) -> bool {
     const END: u8 = 0xd9;
     let mut at = 2;
     // Look for the next marker; data of scans is passed over byte by byte.

@@ -24,6 +24,7 @@ use tokio::{
 };
 
 use crate::{
+    cli::free_memory::free_disk,
     grid::MemoryBudget,
     scene_file::{cache::Cache, fault::Fault, part::Part},
     server::connect::{WallAddress, connect},
@@ -287,17 +288,6 @@ fn closed() -> WireError {
     io::Error::new(io::ErrorKind::UnexpectedEof, "the wall closed the connection").into()
 }
 
-/// Bytes that this user may still write to the disk of a folder, if the system tells.
-fn free_disk(folder: &Path) -> Option<u64> {
-    #[cfg(unix)]
-    return rustix::fs::statvfs(folder).ok().map(|disk| disk.f_bavail.saturating_mul(disk.f_frsize));
-    #[cfg(not(unix))]
-    {
-        let _ = folder;
-        None
-    }
-}
-
 /// Measures the rate of a transfer.
 struct Meter {
     /// When the last rate was measured, and the bytes until then.
@@ -338,13 +328,5 @@ mod tests {
         assert_eq!(meter.rate(2000, times[0]), Some(1000));
         assert_eq!(meter.rate(3000, times[1]), Some(1000));
         assert_eq!(meter.rate(3000, times[2]), Some(700));
-    }
-
-    #[cfg(unix)]
-    #[test]
-    fn the_free_disk_is_known() {
-        let folder = tempfile::tempdir().unwrap();
-        assert!(free_disk(folder.path()).unwrap() > 0);
-        assert_eq!(free_disk(&folder.path().join("nowhere")), None);
     }
 }

@@ -16,7 +16,7 @@ use std::{
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use renderer::{
-    cli::{between, free_memory::FreeMemory, say, stop::Task},
+    cli::{between, free_memory::{FreeMemory, free_disk}, say, stop::Task},
     model::statue,
 };
 use serde::Serialize;
@@ -149,17 +149,6 @@ impl Need {
             told(free.memory),
             told(free.disk)
         )
-    }
-}
-
-/// Bytes that this user may still write in a folder.
-fn free_disk(folder: &Path) -> Option<u64> {
-    #[cfg(unix)]
-    return rustix::fs::statvfs(folder).ok().map(|disk| disk.f_bavail.saturating_mul(disk.f_frsize));
-    #[cfg(not(unix))]
-    {
-        let _ = folder;
-        None
     }
 }
 

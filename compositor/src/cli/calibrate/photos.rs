@@ -3,7 +3,7 @@
 use std::{
     collections::HashMap,
     fs,
-    io::BufReader,
+    io::{Cursor, Read},
     path::{Path, PathBuf},
     sync::{
         Arc,
@@ -15,7 +15,8 @@ use std::{
 
 use anyhow::{Context, bail};
 use channel::files;
-use image::{DynamicImage, ImageDecoder, ImageReader, RgbImage, metadata::Orientation};
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage, metadata::Orientation};
+use renderer::formats::images::is_whole_jpeg;
 
 use crate::calibration::{Codebook, Photograph, Plan, Reading};
 
@@ -34,7 +35,10 @@ const OTHER_ENDINGS: [&str; 9] = ["heic", "heif", "avif", "dng", "cr2", "cr3", "
 const MOST_PHOTOS: usize = 900;
 /// The most pixels of a photograph, which take a gigabyte while it is read.
 const MOST_PIXELS: u64 = 64_000_000;
-/// How often a folder is looked at; a file is complete if it has not grown since the last time.
+/// The longest file of so many pixels: three times 16 bits each, and as much again.
+const MOST_BYTES: u64 = 12 * MOST_PIXELS;
+/// How often a folder is looked at; a file is complete if it has not grown since the last time, and is read again if it has
+/// another length later.
 const WATCH_INTERVAL: Duration = Duration::from_millis(300);
 
 /// The photographs in a folder, by name.
@@ -76,8 +80,18 @@ impl Photo {
             format!("{name} cannot be read: {problem}: it does not count; export it as JPEG again")
         };
         let file = files::open(path).map_err(|error| format!("{name} {error}"))?;
-        let reader = ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(|error| fault(&error))?;
+        let mut bytes = Vec::new();
+        file.take(MOST_BYTES + 1).read_to_end(&mut bytes).map_err(|error| fault(&error))?;
+        if bytes.len() as u64 > MOST_BYTES {
+            return Err(format!("{name} has more than {} MB: scale it down", MOST_BYTES / 1_000_000));
+        }
+        let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(|error| fault(&error))?;
+        let is_jpeg = reader.format() == Some(ImageFormat::Jpeg);
         let mut decoder = reader.into_decoder().map_err(|error| fault(&error))?;
+        // What is missing would be grey, and projectors would be blamed.
+        if is_jpeg && !is_whole_jpeg(&bytes) {
+            return Err(format!("{name} is cut off: it does not count; copy it again"));
+        }
         let (width, height) = decoder.dimensions();
         if u64::from(width) * u64::from(height) > MOST_PIXELS {
             return Err(format!(
@@ -87,6 +101,7 @@ impl Photo {
         }
         let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
         let image = DynamicImage::from_decoder(decoder).map_err(|error| fault(&error))?;
+        drop(bytes);
         let grey = image.to_luma16();
         let values = grey.as_raw().iter().map(|value| f32::from(*value) / 65535.0).collect();
         drop(grey);
@@ -126,9 +141,12 @@ impl Watch {
         plan: Plan,
         report: impl Fn(Result<Photo, String>) + Send + 'static,
     ) -> anyhow::Result<Self> {
-        let mut done: HashMap<PathBuf, u64> = in_folder(folder)?.into_iter().map(|path| (path, u64::MAX)).collect();
-        if !done.is_empty() {
-            tracing::info!("{} photographs that are in {} already do not count", done.len(), folder.display());
+        let n_bytes = |path: &Path| fs::metadata(path).map_or(0, |metadata| metadata.len());
+        // The length of each file when it was seen last, and whether it was read then.
+        let old = in_folder(folder)?.into_iter().map(|path| (path.clone(), (n_bytes(&path), true)));
+        let mut seen: HashMap<PathBuf, (u64, bool)> = old.collect();
+        if !seen.is_empty() {
+            tracing::info!("{} photographs that are in {} already do not count", seen.len(), folder.display());
         }
         let is_ended = Arc::new(AtomicBool::new(false));
         let (ends, folder) = (Arc::clone(&is_ended), folder.to_owned());
@@ -146,15 +164,15 @@ impl Watch {
                     Vec::new()
                 });
                 for path in paths {
-                    let n_bytes = fs::metadata(&path).map_or(0, |metadata| metadata.len());
-                    let is_complete = n_bytes > 0 && done.get(&path) == Some(&n_bytes);
-                    if done.get(&path) == Some(&u64::MAX) || ends.load(Ordering::Relaxed) {
+                    let n_bytes = n_bytes(&path);
+                    let is_complete = n_bytes > 0 && seen.get(&path) == Some(&(n_bytes, false));
+                    if seen.get(&path) == Some(&(n_bytes, true)) || ends.load(Ordering::Relaxed) {
                         continue;
                     }
                     if is_complete {
                         report(Photo::read(&path, &codebook));
                     }
-                    done.insert(path, if is_complete { u64::MAX } else { n_bytes });
+                    seen.insert(path, (n_bytes, is_complete));
                 }
                 thread::sleep(WATCH_INTERVAL);
             }
