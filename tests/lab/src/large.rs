@@ -16,7 +16,12 @@ use std::{
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use renderer::{
-    cli::{between, free_memory::{FreeMemory, free_disk}, say, stop::Task},
+    cli::{
+        between,
+        free_memory::{FreeMemory, free_disk},
+        say,
+        stop::Task,
+    },
     model::statue,
 };
 use serde::Serialize;
