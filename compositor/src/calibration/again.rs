@@ -103,7 +103,7 @@ pub fn judge_again(wall: &Wall, plan: &Plan, readings: &[Reading]) -> Verdict {
     judged(wall, plan, &shots, &has_moved, found, &outcome)
 }
 
-/// What a solution tells of a projector.
+/// A projector as a solution shows it.
 pub(super) struct Outcome {
     pub finding: Finding,
     /// The projector where it stands now, and how far it moved, with words for that; `None` if it cannot show its part.

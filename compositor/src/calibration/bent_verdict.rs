@@ -100,7 +100,7 @@ pub(super) fn layouts<'a>(wall: &'a Wall, is_held: &[bool]) -> Vec<Layout<'a>> {
     wall.projectors().iter().zip(is_held).map(layout).collect()
 }
 
-/// What a solution tells of a projector.
+/// The finding on a projector by a solution.
 pub(super) fn finding(solution: &BentSolution, plan: &Plan, index: usize) -> Finding {
     let fit = solution.fit(index);
     let covered = fit.n_crossings as f64 / plan.boards[index].n_crossings().max(1) as f64;

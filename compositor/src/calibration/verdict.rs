@@ -229,7 +229,7 @@ pub(super) fn solved_without_misfits(
     solution
 }
 
-/// What a solution tells of a projector.
+/// The finding on a projector by a solution.
 pub(super) fn finding(wall: &Wall, plan: &Plan, solution: &Solution, index: usize) -> Finding {
     let fit = solution.fits[index];
     Finding {

@@ -24,7 +24,7 @@ pub struct ExportArgs {
     pub wall: PathBuf,
     /// The MPCDI file to write
     pub file: PathBuf,
-    /// What warps say of each pixel: its point of the picture, its direction from an eye, or its point in space
+    /// The values of warps: each pixel's point of the picture, its direction from an eye, or its point in space
     #[arg(long, value_enum, default_value = "2d")]
     pub profile: ExportProfile,
 }

@@ -146,7 +146,7 @@ mod tests {
         let is = |ray: DVec3, x: f64, y: f64, z: f64| ray.distance(DVec3::new(x, y, z).normalize()) < 1e-9;
         assert!(is(ray([90.0, 0.0, 0.0], [0.5, 0.5]), 1.0, 0.0, 0.0), "to the right");
         assert!(is(ray([0.0, 90.0, 0.0], [0.5, 0.5]), 0.0, 1.0, 0.0), "up");
-        // What was above is to the right when the head leans to the right: the picture's top looks there.
+        // A head that leans to the right has its top there, and so has the picture.
         assert!(is(ray([0.0, 0.0, 90.0], [0.5, 0.0]), 1.0, 0.0, -1.0), "clockwise");
         // Up is seen from where the eye has turned to.
         assert!(is(ray([90.0, 45.0, 0.0], [0.5, 0.5]), 1.0, 1.0, 0.0), "first to the right");

@@ -88,7 +88,7 @@ impl Photo {
         let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(|error| fault(&error))?;
         let is_jpeg = reader.format() == Some(ImageFormat::Jpeg);
         let mut decoder = reader.into_decoder().map_err(|error| fault(&error))?;
-        // What is missing would be grey, and projectors would be blamed.
+        // The decoder fills in grey, and projectors would be blamed.
         if is_jpeg && !is_whole_jpeg(&bytes) {
             return Err(format!("{name} is cut off: it does not count; copy it again"));
         }
