@@ -2,8 +2,10 @@
 //!
 //! [`mesh`] is the type, with [`normal`]s and [`material`]s; [`shape`] finds its outline and [`stray`] the
 //! triangles that are far from it, [`solid`] says whether it is closed, and [`smooth`] gives it normals.
+//! [`stand_in`] makes coarser meshes in its place, of [`clusters`] of its vertices.
 //! [`statue`] generates a mesh; [`scene`] loads and identifies meshes.
 
+pub mod clusters;
 pub mod material;
 pub mod mesh;
 pub mod normal;
@@ -11,5 +13,6 @@ pub mod scene;
 pub mod shape;
 pub mod smooth;
 pub mod solid;
+pub mod stand_in;
 pub mod statue;
 pub mod stray;

@@ -207,6 +207,7 @@ mod tests {
     use crate::{
         appearance::Appearance,
         camera::Camera,
+        detail::Detail,
         division::{Division, FrameSize},
         protocol::{FrameSpec, LightingMode, RunCosts, SampleRange, ShadingMode, TaskTimings, ToServer, ToWall},
         scene::SceneId,
@@ -221,6 +222,7 @@ mod tests {
             view: ShadingMode::Shaded,
             rays: LightingMode::Shadows,
             samples: SampleRange::CENTRE,
+            detail: Detail::FULL,
             appearance: Appearance::default(),
         };
         ToServer::RenderFrame {

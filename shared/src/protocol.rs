@@ -24,6 +24,7 @@ use crate::{
     appearance::{Appearance, Clip},
     camera::Camera,
     curve::TILES_PER_SQUARE,
+    detail::Detail,
     division::{FrameSize, Share, Task},
     marks::SurfaceWay,
     names::unknown_name,
@@ -35,7 +36,7 @@ use crate::{
 };
 
 /// The version of all messages, and of the bits of a frame: a change to either changes it.
-pub const PROTOCOL_VERSION: u8 = 19;
+pub const PROTOCOL_VERSION: u8 = 20;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -202,6 +203,7 @@ pub struct FrameSpec {
     pub view: ShadingMode,
     pub rays: LightingMode,
     pub samples: SampleRange,
+    pub detail: Detail,
     pub appearance: Appearance,
 }
 

@@ -28,6 +28,7 @@ use shared::{
     appearance::Appearance,
     camera::{Camera, CameraPath, CanvasPart, Views},
     codec::{self, BodyKind, CONTROL_LIMIT, HANDSHAKE_LIMIT, HEADER_BYTES, Header},
+    detail::Detail,
     division::{Division, FrameSize, Part, Selection, Task, TileRun},
     marks::Marks,
     printable::printable_line,
@@ -368,6 +369,7 @@ pub fn scene(data: &[u8]) {
             view: ShadingMode::Shaded,
             rays: LightingMode::AmbientOcclusion,
             samples: SampleRange::CENTRE,
+            detail: Detail::FULL,
             appearance: Appearance::default(),
         };
         assert_eq!(scene.render_frame(&spec).0.len(), 16 * 8 * 3);

@@ -9,6 +9,7 @@ use compositor::{
 use glam::DVec3;
 use shared::{
     camera::Camera,
+    detail::Detail,
     division::{Division, FrameSize},
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::SceneId,
@@ -27,6 +28,7 @@ fn small_statue() -> RenderGoal {
         view: ShadingMode::default(),
         rays: LightingMode::default(),
         samples: SampleRange::CENTRE,
+        detail: Detail::FULL,
         appearance: Default::default(),
     };
     RenderGoal {

@@ -9,6 +9,7 @@ use compositor::{
 use renderer::{grid::GridOptions, model::statue, render::scene::Scene};
 use shared::appearance::Appearance;
 use shared::camera::{Camera, CanvasPart, Shape, UpAxis};
+use shared::detail::Detail;
 use shared::division::{Division, FrameSize};
 use shared::protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode};
 use shared::scene::SceneId;
@@ -387,7 +388,16 @@ fn frame_of((shape, scene): &(Shape, Scene), wall: &Wall, up: UpAxis) -> Frame {
     let size = wall.frame_size();
     let (view, rays, samples) = (ShadingMode::Shaded, LightingMode::default(), SampleRange::CENTRE);
     let scene_id = SceneId::Statue { triangles: 0, crease: Default::default() };
-    let spec = FrameSpec { scene: scene_id, camera, size, view, rays, samples, appearance: Appearance::default() };
+    let spec = FrameSpec {
+        scene: scene_id,
+        camera,
+        size,
+        view,
+        rays,
+        samples,
+        detail: Detail::FULL,
+        appearance: Appearance::default(),
+    };
     let task = Division::Interleaved.task(0, 1);
     let share = task.share(size).unwrap();
     let mut rgb = Vec::new();

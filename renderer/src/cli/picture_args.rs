@@ -10,6 +10,7 @@ use channel::files;
 use rayon::ThreadPool;
 use shared::{
     camera::{Camera, CanvasPart, Shape, UpAxis},
+    detail::Detail,
     division::FrameSize,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::{Crease, SceneId},
@@ -213,6 +214,7 @@ impl PictureArgs {
             view: self.view,
             rays: self.rays,
             samples: SampleRange::CENTRE,
+            detail: Detail::FULL,
             appearance: self.appearance.appearance(),
         }
     }

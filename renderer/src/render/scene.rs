@@ -1,4 +1,4 @@
-//! A mesh with its grid and sky, and the questions that one ray answers.
+//! A mesh with its grid, stand-ins and sky, and the questions that one ray answers.
 
 use std::sync::Arc;
 
@@ -6,6 +6,7 @@ use glam::{DVec3, Vec3};
 use shared::{
     appearance::{Clip, ClipPlane},
     camera::Camera,
+    detail::Detail,
     division::FrameSize,
     protocol::ProbeHit,
 };
@@ -16,7 +17,10 @@ use crate::{
         clip,
         ray::{Hit, Ray},
     },
-    model::mesh::Mesh,
+    model::{
+        mesh::Mesh,
+        stand_in::{LEAST_TRIANGLES, StandInMesh, stand_ins},
+    },
     render::sky::SkyMap,
 };
 
@@ -28,23 +32,75 @@ const SEEN_DEPTH: f64 = 5e-4;
 const SAME_T: f64 = 1e-3;
 
 /// A mesh with its grid: all that rays need.
+///
+/// Frames show a stand-in where their [`Detail`] allows one; everything else asks the mesh itself.
 pub struct Scene {
     /// The grid, which holds the mesh.
     pub grid: Grid,
     /// The image that lights path-traced frames which name it.
     pub sky: Option<Arc<SkyMap>>,
+    /// Shown in the mesh's place where they are fine enough; the finest first.
+    pub(crate) stand_ins: Vec<StandIn>,
+}
+
+/// A coarser mesh with its grid.
+pub(crate) struct StandIn {
+    /// The side of its cells is 2ⁿ units.
+    pub(crate) log2_side: i16,
+    /// Without stand-ins of its own.
+    pub(crate) scene: Scene,
 }
 
 impl Scene {
-    /// Builds the grid on the current rayon pool; `progress` receives the fraction done, 0 to 1, from any thread.
+    /// Builds the grid, and the stand-ins of a large mesh, on the current rayon pool; `progress` receives the fraction done, 0 to 1,
+    /// from any thread.
     pub fn build(mesh: Mesh, options: &GridOptions, progress: &(dyn Fn(f32) + Sync)) -> Self {
-        Grid::build(mesh, options, progress).into()
+        Self::build_with_stand_ins(mesh, LEAST_TRIANGLES, options, progress)
+    }
+
+    /// As [`Scene::build`], with stand-ins of a mesh that has at least this many triangles.
+    pub fn build_with_stand_ins(
+        mesh: Mesh,
+        least_triangles: usize,
+        options: &GridOptions,
+        progress: &(dyn Fn(f32) + Sync),
+    ) -> Self {
+        let stand_ins = stand_ins(&mesh, least_triangles);
+        if stand_ins.is_empty() {
+            return Grid::build(mesh, options, progress).into();
+        }
+        progress(0.2);
+        let n_bytes: usize = stand_ins.iter().map(|coarse| coarse.mesh.n_bytes()).sum();
+        let memory_budget = options.memory_budget.beside(n_bytes as u64).unwrap_or(options.memory_budget);
+        let grid = Grid::build(mesh, &GridOptions { memory_budget, ..*options }, &|done| progress(0.2 + 0.7 * done));
+        let built = stand_ins.into_iter().map(|StandInMesh { log2_side, mesh }| {
+            let scene = Grid::build(mesh, options, &|_| ()).into();
+            StandIn { log2_side, scene }
+        });
+        Self { stand_ins: built.collect(), ..grid.into() }
     }
 
     /// The same scene under a sky image.
     #[must_use]
     pub fn with_sky(self, sky: Option<Arc<SkyMap>>) -> Self {
-        Self { sky, ..self }
+        let under_sky = |StandIn { log2_side, scene }| StandIn { log2_side, scene: scene.with_sky(sky.clone()) };
+        Self { stand_ins: self.stand_ins.into_iter().map(under_sky).collect(), sky, ..self }
+    }
+
+    /// The grids of the scene and of its stand-ins.
+    pub(crate) fn grids(&self) -> impl Iterator<Item = &Grid> {
+        std::iter::once(&self.grid).chain(self.stand_ins.iter().map(|coarse| &coarse.scene.grid))
+    }
+
+    /// The same, in the same order.
+    pub(crate) fn grids_mut(&mut self) -> impl Iterator<Item = &mut Grid> {
+        std::iter::once(&mut self.grid).chain(self.stand_ins.iter_mut().map(|coarse| &mut coarse.scene.grid))
+    }
+
+    /// The coarsest of the scene and its stand-ins that a frame may show.
+    pub fn at(&self, detail: Detail) -> &Self {
+        let is_allowed = |coarse: &&StandIn| detail.allows(coarse.log2_side);
+        self.stand_ins.iter().rfind(is_allowed).map_or(self, |coarse| &coarse.scene)
     }
 
     /// The mesh, in the grid's order.
@@ -57,10 +113,20 @@ impl Scene {
         self.mesh().n_triangles()
     }
 
-    /// Bytes of mesh, grid and sky in memory.
+    /// Bytes of mesh, grid, stand-ins and sky in memory.
     pub fn n_bytes(&self) -> usize {
         let sky = self.sky.as_ref().map_or(0, |sky| sky.n_bytes());
-        self.mesh().n_bytes() + self.grid.n_bytes() + sky
+        self.mesh().n_bytes() + self.grid.n_bytes() + self.n_stand_in_bytes() + sky
+    }
+
+    /// Bytes of the stand-ins in memory.
+    pub fn n_stand_in_bytes(&self) -> usize {
+        self.stand_ins.iter().map(|StandIn { scene, .. }| scene.mesh().n_bytes() + scene.grid.n_bytes()).sum()
+    }
+
+    /// Triangles of the stand-ins, the finest first, each with the side of its cells as a power of two.
+    pub fn stand_in_sizes(&self) -> impl Iterator<Item = (i16, usize)> {
+        self.stand_ins.iter().map(|coarse| (coarse.log2_side, coarse.scene.n_triangles()))
     }
 
     /// A camera of world space in model space, in which everything is traced.
@@ -149,9 +215,9 @@ fn exact_point(ray: Ray, hit: Hit, (normal, offset): (DVec3, f64)) -> DVec3 {
 }
 
 impl From<Grid> for Scene {
-    /// A scene without a sky image.
+    /// A scene without stand-ins and sky image.
     fn from(grid: Grid) -> Self {
-        Self { grid, sky: None }
+        Self { grid, sky: None, stand_ins: Vec::new() }
     }
 }
 
@@ -160,6 +226,7 @@ mod tests {
     use glam::{DVec3, Vec3};
     use shared::{
         appearance::Appearance,
+        detail::Detail,
         protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
         scene::SceneId,
     };
@@ -209,6 +276,7 @@ mod tests {
                 view: ShadingMode::Shaded,
                 rays,
                 samples: SampleRange::CENTRE,
+                detail: Detail::FULL,
                 appearance: Appearance { clip: "y:20".parse().ok(), ..Appearance::default() },
             };
             let scene = statue_at(offset);

@@ -204,6 +204,7 @@ mod tests {
     use shared::{
         appearance::{Appearance, Background},
         camera::Camera,
+        detail::Detail,
         division::FrameSize,
         protocol::SampleRange,
         scene::SceneId,
@@ -236,6 +237,7 @@ mod tests {
             view: shading,
             rays: LightingMode::Primary,
             samples: SampleRange::CENTRE,
+            detail: Detail::FULL,
             appearance,
         }
     }

@@ -76,8 +76,9 @@ impl Scene {
         units: Range<u32>,
         mut visit: impl FnMut(&Lighting<'_>, &LightSums, (usize, usize), usize),
     ) {
-        let spec = &FrameSpec { camera: self.local(&spec.camera), ..*spec };
-        let mut sampler = Sampler::new(self, spec, unwanted);
+        let scene = self.at(spec.detail);
+        let spec = &FrameSpec { camera: scene.local(&spec.camera), ..*spec };
+        let mut sampler = Sampler::new(scene, spec, unwanted);
         match noise::of_frame(spec) {
             Some(limit) => noise::sum_lights(&mut sampler, (share, units), (spec.samples.count, limit), visit),
             None => for_each_group(share, units, |blocks| {
@@ -242,6 +243,7 @@ mod tests {
     use shared::{
         appearance::{Appearance, Light},
         camera::Camera,
+        detail::Detail,
         division::{Division, FrameSize},
         path_light::PathLight,
         protocol::{LightingMode, SampleRange, ShadingMode},
@@ -273,6 +275,7 @@ mod tests {
             view: ShadingMode::Shaded,
             rays: LightingMode::Primary,
             samples: SampleRange::all(first, count),
+            detail: Detail::FULL,
             appearance: Appearance::default(),
         }
     }

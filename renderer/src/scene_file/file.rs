@@ -16,7 +16,7 @@ use crate::{
     formats::sources::{Sources, Stamp},
     grid::{Grid, MemoryBudget},
     model::scene::ModelInfo,
-    render::scene::Scene,
+    render::scene::{Scene, StandIn},
     scene_file::{
         bytes::FileBytes,
         fault::{Damage, Fault},
@@ -39,6 +39,8 @@ pub(crate) struct Record<G> {
     /// The memory that building could take.
     budget: MemoryBudget,
     pub(crate) grid: G,
+    /// With the sides of their cells.
+    stand_ins: Vec<(i16, G)>,
 }
 
 /// A scene file that is open, with its head.
@@ -48,6 +50,9 @@ pub(crate) struct SceneFile {
     pub(crate) head: Head,
     pub(crate) record: Record<Grid>,
 }
+
+/// Most stand-ins: each has at most half of the triangles of the one before.
+const MOST_STAND_INS: usize = 32;
 
 /// Most lines that are told of a model, and most points of its outline; models have fewer.
 const MOST_LINES: usize = 100;
@@ -71,13 +76,14 @@ pub(crate) fn write(
     progress: &(dyn Fn(f32) + Sync),
 ) -> io::Result<Hash> {
     let mut out = BufWriter::with_capacity(1 << 20, out);
-    if !scene.grid.is_storable() {
+    if !scene.grids().all(Grid::is_storable) {
         return Err(io::Error::other("scene files hold the default storage alone: leave --storage out"));
     }
     let (builder, info, sources) = (BUILDER.to_owned(), info.clone(), sources.cloned());
-    let record = codec::to_bytes(&Record { builder, info, sources, budget, grid: &scene.grid });
+    let stand_ins = scene.stand_ins.iter().map(|coarse| (coarse.log2_side, &coarse.scene.grid)).collect();
+    let record = codec::to_bytes(&Record { builder, info, sources, budget, grid: &scene.grid, stand_ins });
     let mut collector = Collector::default();
-    scene.grid.visit_sections(&mut collector).map_err(io::Error::other)?;
+    scene.grids_mut().try_for_each(|grid| grid.visit_sections(&mut collector)).map_err(io::Error::other)?;
     let head = Head::new(&collector.sections, record);
     progress(0.4);
     let mut at = 0;
@@ -264,6 +270,8 @@ fn read_record(head: &Head) -> Result<Record<Grid>, Fault> {
     let is_shape = is_point(&min) && is_point(&max) && min.cmple(max).all() && shape.outline.iter().all(is_point);
     let are_few = shape.outline.len() <= 10 * MOST_LINES && found.len() + left_out.len() <= MOST_LINES;
     expect(is_shape && are_few && (1..=u32::MAX as usize).contains(n_triangles), "facts")?;
+    let are_in_order = record.stand_ins.is_sorted_by(|(finer, _), (coarser, _)| finer < coarser);
+    expect(are_in_order && record.stand_ins.len() <= MOST_STAND_INS, "stand-ins")?;
     found.iter_mut().chain(left_out).for_each(|line| *line = printable_line(line));
     Ok(record)
 }
@@ -275,16 +283,18 @@ fn scene_of(
     record: Record<Grid>,
     progress: Option<&(dyn Fn(f32) + Sync)>,
 ) -> Result<Scene, Fault> {
-    let mut grid = record.grid.into_mapped();
+    let of_grid = |(log2_side, grid): (i16, Grid)| StandIn { log2_side, scene: grid.into_mapped().into() };
+    let stand_ins = record.stand_ins.into_iter().map(of_grid).collect();
+    let mut scene = Scene { stand_ins, ..record.grid.into_mapped().into() };
     if let Some(progress) = progress {
         head.check_chunks(&bytes, &|done| progress(0.6 * done))?;
     }
     let mut filler = Filler::new(bytes, head);
-    grid.visit_sections(&mut filler)?;
+    scene.grids_mut().try_for_each(|grid| grid.visit_sections(&mut filler))?;
     filler.finish()?;
-    grid.check_sizes()?;
+    scene.grids().try_for_each(Grid::check_sizes)?;
     if progress.is_some() {
-        grid.check_contents()?;
+        scene.grids().try_for_each(Grid::check_contents)?;
     }
-    Ok(grid.into())
+    Ok(scene)
 }

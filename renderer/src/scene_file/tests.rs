@@ -11,6 +11,7 @@ use std::{
 use glam::Vec3;
 use shared::{
     camera::{Camera, CanvasPart},
+    detail::Detail,
     division::FrameSize,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::{Crease, SceneId},
@@ -76,6 +77,7 @@ fn picture(scene: &Scene, info: &ModelInfo) -> Vec<u8> {
         view: ShadingMode::Shaded,
         rays: LightingMode::AmbientOcclusion,
         samples: SampleRange::CENTRE,
+        detail: Detail::FULL,
         appearance: Default::default(),
     };
     scene.render_frame(&spec).0

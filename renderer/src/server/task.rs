@@ -255,6 +255,7 @@ mod tests {
     use shared::{
         appearance::Appearance,
         camera::Camera,
+        detail::Detail,
         division::{Division, FrameSize},
         protocol::{LightingMode, SampleRange, ShadingMode},
         scene::{Crease, SceneId},
@@ -282,6 +283,7 @@ mod tests {
                     view: ShadingMode::Shaded,
                     rays: LightingMode::Primary,
                     samples: SampleRange::CENTRE,
+                    detail: Detail::FULL,
                     appearance: Appearance::default(),
                 },
                 task,

@@ -4,6 +4,7 @@ use glam::DVec3;
 use shared::{
     appearance::{Appearance, Light},
     camera::Camera,
+    detail::Detail,
     division::{Division, FrameSize},
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::SceneId,
@@ -32,6 +33,7 @@ fn spec(eye: DVec3, target: DVec3, size: FrameSize) -> FrameSpec {
         view: ShadingMode::Shaded,
         rays: LightingMode::Primary,
         samples: SampleRange::CENTRE,
+        detail: Detail::FULL,
         appearance: Appearance::default(),
     }
 }

@@ -13,6 +13,7 @@ use compositor::farm::{Farm, Frame, RenderGoal};
 use shared::{
     appearance::Appearance,
     camera::Camera,
+    detail::Detail,
     division::{Division, FrameSize},
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::SceneId,
@@ -28,6 +29,7 @@ pub fn frame_spec(scene: SceneId, camera: Camera, size: FrameSize) -> FrameSpec 
         view: ShadingMode::Shaded,
         rays: LightingMode::default(),
         samples: SampleRange::CENTRE,
+        detail: Detail::FULL,
         appearance: Appearance::default(),
     }
 }

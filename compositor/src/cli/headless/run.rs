@@ -8,6 +8,7 @@ use renderer::cli::{large_file::warn_of_large_file, picture_args::guessed_up, pr
 use shared::{
     appearance::Appearance,
     camera::{Camera, CameraPath, CanvasPart},
+    detail::Detail,
     division::FrameSize,
     printable::counted,
     protocol::FrameSpec,
@@ -151,6 +152,7 @@ fn show_model(
         view: args.view,
         rays: args.rays.unwrap_or_default(),
         samples: args.sample_range(),
+        detail: Detail::FULL,
         appearance: Appearance { sky: *sky, up: up.unwrap_or(model.shape.up), ..args.appearance.appearance() },
     };
     farm.update_goal(|goal| {

@@ -12,6 +12,7 @@ use renderer::{cli::say, model::scene::SceneSource, scene_file::SceneStore};
 use shared::{
     appearance::Appearance,
     camera::{Camera, CameraPath, CanvasPart, Look},
+    detail::Detail,
     division::FrameSize,
     printable::counted,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
@@ -57,6 +58,7 @@ impl Setting {
             view: self.view,
             rays: rays.unwrap_or_default(),
             samples: self.samples,
+            detail: Detail::FULL,
             appearance: Appearance {
                 light,
                 clip,

@@ -5,6 +5,7 @@ use proptest::prelude::*;
 use shared::{
     appearance::Appearance,
     camera::Camera,
+    detail::Detail,
     noise::NoiseLimit,
     protocol::{LightingMode, ShadingMode},
     scene::SceneId,
@@ -36,6 +37,7 @@ fn spec_at(eye_x: f64) -> FrameSpec {
         view: ShadingMode::Shaded,
         rays: LightingMode::Primary,
         samples: SampleRange::CENTRE,
+        detail: Detail::FULL,
         appearance: Appearance::default(),
     }
 }

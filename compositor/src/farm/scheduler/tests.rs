@@ -11,6 +11,7 @@ use proptest::prelude::*;
 use shared::{
     appearance::Appearance,
     camera::Camera,
+    detail::Detail,
     division::FrameSize,
     protocol::{LightingMode, SampleRange, ShadingMode},
     scene::SceneId,
@@ -33,6 +34,7 @@ pub(in crate::farm) fn spec(eye_x: f64, triangles: u32) -> FrameSpec {
         view: ShadingMode::Shaded,
         rays: LightingMode::Primary,
         samples: SampleRange::CENTRE,
+        detail: Detail::FULL,
         appearance: Appearance::default(),
     }
 }

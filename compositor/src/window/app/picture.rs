@@ -3,6 +3,7 @@
 use shared::{
     appearance::{Appearance, Background, Clip, ClipSide, Light},
     camera::{Camera, Look, UpAxis},
+    detail::Detail,
     protocol::{FrameSpec, LightingMode, ShadingMode},
     scene::SceneId,
     sky::SkyId,
@@ -51,6 +52,7 @@ impl PictureControl {
             view: self.shading,
             rays: self.rays.unwrap_or_default(),
             samples: self.options.fixed_samples,
+            detail: Detail::FULL,
             appearance: self.appearance_around(up),
         }
     }

@@ -5,6 +5,7 @@ use std::f64::consts::PI;
 use shared::{
     appearance::Appearance,
     camera::Camera,
+    detail::Detail,
     division::{FrameSize, SampleRect},
     path_light::PathLight,
     protocol::{LightingMode, SampleRange, ShadingMode},
@@ -31,6 +32,7 @@ pub(super) fn spec(eye: DVec3, target: DVec3, bounces: u8) -> FrameSpec {
         view: ShadingMode::Shaded,
         rays: LightingMode::Path,
         samples: SampleRange::CENTRE,
+        detail: Detail::FULL,
         appearance: Appearance { path, ..Appearance::default() },
     }
 }

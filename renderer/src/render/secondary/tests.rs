@@ -1,6 +1,7 @@
 use shared::{
     appearance::{Appearance, Light},
     camera::Camera,
+    detail::Detail,
     division::{FrameSize, SampleRect},
     protocol::SampleRange,
     scene::SceneId,
@@ -21,6 +22,7 @@ fn spec(eye: DVec3, target: DVec3, rays: LightingMode) -> FrameSpec {
         view: ShadingMode::Shaded,
         rays,
         samples: SampleRange::CENTRE,
+        detail: Detail::FULL,
         appearance: Appearance::default(),
     }
 }

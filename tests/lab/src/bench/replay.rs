@@ -314,6 +314,7 @@ mod tests {
     use shared::{
         appearance::Appearance,
         camera::Camera,
+        detail::Detail,
         division::FrameSize,
         protocol::{LightingMode, SampleRange, ShadingMode},
         scene::SceneId,
@@ -334,6 +335,7 @@ mod tests {
             view: ShadingMode::Shaded,
             rays: LightingMode::default(),
             samples: SampleRange::CENTRE,
+            detail: Detail::FULL,
             appearance: Appearance::default(),
         }
     }

@@ -6,6 +6,7 @@ use proptest::prelude::*;
 use shared::{
     appearance::Appearance,
     camera::Camera,
+    detail::Detail,
     protocol::{FrameId, LightingMode, SampleRange, ShadingMode, TaskId, TaskTimings},
 };
 
@@ -63,6 +64,7 @@ fn spec_from(eye_x: f64) -> FrameSpec {
         view: ShadingMode::Shaded,
         rays: LightingMode::Primary,
         samples: SampleRange::CENTRE,
+        detail: Detail::FULL,
         appearance: Appearance::default(),
     }
 }
