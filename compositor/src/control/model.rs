@@ -2,8 +2,12 @@
 
 use std::path::PathBuf;
 
+use glam::DVec3;
 use renderer::{
-    model::scene::{LoadError, ModelInfo, SceneSource},
+    model::{
+        scene::{LoadError, ModelInfo, SceneSource},
+        stand_in::LEAST_TRIANGLES,
+    },
     scene_file::SceneStore,
 };
 use shared::{
@@ -42,6 +46,12 @@ impl Model {
         info.log(&source);
         let ModelInfo { id, shape, n_triangles, is_solid, found, left_out } = info;
         Ok(Self { source, scene: id, shape, n_triangles, is_solid, found, left_out })
+    }
+
+    /// The bounds of a model that has stand-ins, in world space; `None` of others. One with textures has none, but its frames
+    /// may ask for them.
+    pub(crate) fn fine_bounds(&self) -> Option<(DVec3, DVec3)> {
+        (self.n_triangles >= LEAST_TRIANGLES).then_some(self.shape.bounds)
     }
 
     /// The model's file, where all programs on this machine find it; `None` for the built-in model.

@@ -1,7 +1,8 @@
 //! Resolution and samples per pixel: the target rate in motion, refinement at rest. Pure: time is an argument.
 //!
 //! While the camera moves, [`control`] chooses each frame's resolution from a [`ladder`], by the times that frames take the
-//! farm and the [`display`]; where the native one leaves time, also shadows and ambient occlusion. At rest, frames in the wall's native resolution follow with 1, 4, 16 … samples a pixel; once
+//! farm and the [`display`]; where the native one leaves time, also shadows and ambient occlusion. What is finer than the samples
+//! of such a frame is shown by stand-ins. At rest, frames in the wall's native resolution follow with 1, 4, 16 … samples a pixel; once
 //! edges are smooth, ambient occlusion and then paths light them, unless the operator chose the rays. Few paths are noise, so
 //! while the camera moves there are none. While sun or exposure change there are a few, in a resolution of their own that holds
 //! the rate: other rays would not show the change.
@@ -12,8 +13,10 @@ mod ladder;
 
 use std::time::{Duration, Instant};
 
+use glam::DVec3;
 use shared::{
     appearance::Appearance,
+    detail::Detail,
     division::FrameSize,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
 };
@@ -135,8 +138,9 @@ impl Refinement {
         }
     }
 
-    /// The frame to ask for after a change of camera, scene or appearance. Ignores the size and samples of `spec`.
-    pub(crate) fn change(&mut self, now: Instant, spec: FrameSpec) -> RenderStep {
+    /// The frame to ask for after a change of camera, scene or appearance, of a model that has stand-ins if its `fine_bounds`
+    /// are given, in world space. Ignores the size, samples and detail of `spec`.
+    pub(crate) fn change(&mut self, now: Instant, spec: FrameSpec, fine_bounds: Option<(DVec3, DVec3)>) -> RenderStep {
         let asked_rays = spec.rays;
         let (size, samples, rays) = match asked_rays {
             _ if !self.is_on() => (self.options.fixed_size, self.options.fixed_samples, asked_rays),
@@ -144,12 +148,16 @@ impl Refinement {
             _ => self.moving(asked_rays, spec.view),
         };
         let is_same = |last: &LastStep| {
-            let FrameSpec { size, samples, rays, .. } = last.step.spec;
+            let FrameSpec { size, samples, detail, rays, .. } = last.step.spec;
             let are_refined = self.options.lights_at_rest || asked_rays == LightingMode::Path;
             let rays = if are_refined { rays } else { asked_rays };
-            last.asked_rays == asked_rays && last.step.spec == FrameSpec { size, samples, rays, ..spec }
+            last.asked_rays == asked_rays && last.step.spec == FrameSpec { size, samples, detail, rays, ..spec }
         };
-        let step = RenderStep { spec: FrameSpec { size, samples, rays, ..spec }, is_refinement: false };
+        // Stand-ins bound no solid, and have other costs.
+        let may_be_coarse = self.is_on() && spec.appearance.clip.is_none() && spec.view != ShadingMode::Cost;
+        let of_samples = |bounds| Detail::of_samples(&spec.camera, size, bounds);
+        let detail = fine_bounds.filter(|_| may_be_coarse).map_or(Detail::FULL, of_samples);
+        let step = RenderStep { spec: FrameSpec { size, samples, detail, rays, ..spec }, is_refinement: false };
         // A picture that did not change need not become coarse again.
         self.last.take_if(|last| !is_same(last));
         self.last.get_or_insert(LastStep { step, asked_rays, is_shown: false, changed_at: now }).step
@@ -178,9 +186,10 @@ impl Refinement {
     /// Whether a frame differs from the last one only in the light of paths, which light the picture at rest.
     fn changes_paths_alone(&self, spec: &FrameSpec) -> bool {
         self.last.filter(|last| last.asked_rays == spec.rays && self.ends_with_paths(last)).is_some_and(|last| {
-            let FrameSpec { size, samples, rays, appearance, .. } = last.step.spec;
+            let FrameSpec { size, samples, detail, rays, appearance, .. } = last.step.spec;
             let appearance = Appearance { path: appearance.path, ..spec.appearance };
-            appearance != spec.appearance && last.step.spec == FrameSpec { size, samples, rays, appearance, ..*spec }
+            let as_last = FrameSpec { size, samples, detail, rays, appearance, ..*spec };
+            appearance != spec.appearance && last.step.spec == as_last
         })
     }
 
@@ -261,7 +270,7 @@ impl Refinement {
         } else {
             (SampleRange::CENTRE, spec.rays)
         };
-        let finer = FrameSpec { size: native, samples, rays, ..*spec };
+        let finer = FrameSpec { size: native, samples, detail: Detail::FULL, rays, ..*spec };
         (is_on && finer != *spec).then_some(finer)
     }
 }

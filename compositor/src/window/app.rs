@@ -218,7 +218,7 @@ impl<'a> App<'a> {
         self.apply(recorded);
         let (Some(model), Some(navigator)) = (&self.model, &self.camera.navigator) else { return };
         let spec = self.picture.spec(model.scene, navigator.camera(), navigator.up());
-        let step = self.picture.refinement.change(now, spec);
+        let step = self.picture.refinement.change(now, spec, model.fine_bounds());
         self.farm.update_goal(|goal| {
             goal.spec = Some(step.spec);
             goal.is_refinement = step.is_refinement;

@@ -4,11 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::builder::{PathBufValueParser, TypedValueParser};
-use shared::{
-    noise::NoiseLimit,
-    printable::counted,
-    protocol::{FrameSpec, SampleRange},
-};
+use shared::{detail::Detail, noise::NoiseLimit, printable::counted, protocol::SampleRange};
 
 use crate::{
     cli::{
@@ -39,10 +35,15 @@ pub struct TraceArgs {
     /// all --samples [default: 1.5; 0 with --samples]
     #[arg(long, value_name = "LEVELS", allow_hyphen_values = true)]
     noise: Option<NoiseLimit>,
+
+    /// Show what is finer than samples by stand-ins, as a wall does while its camera moves; models of fewer than 16,777,216
+    /// triangles, and those with textures, have none
+    #[arg(long)]
+    stand_ins: bool,
 }
 
 /// Loads, builds and renders, and writes the picture.
-pub fn run(&TraceArgs { ref picture, ref image, samples, noise }: &TraceArgs) -> Result<()> {
+pub fn run(&TraceArgs { ref picture, ref image, samples, noise, stand_ins }: &TraceArgs) -> Result<()> {
     check_writable(image)?;
     if let Some(unused) = picture.unused(noise.is_some()) {
         tracing::warn!("{unused}");
@@ -55,14 +56,22 @@ pub fn run(&TraceArgs { ref picture, ref image, samples, noise }: &TraceArgs) ->
         let (info, scene) = (&stored.info, &mut stored.scene);
         let mut spec = picture.spec(info.id, camera.unwrap_or_else(|| picture.view_all(&info.shape)));
         picture.light(&mut spec, scene, &info.shape, sky);
-        let spec = FrameSpec { samples: SampleRange::asked(spec.rays, samples, noise), ..spec };
+        spec.samples = SampleRange::asked(spec.rays, samples, noise);
+        if stand_ins {
+            spec.detail = Detail::of_samples(&spec.camera, spec.size, info.shape.bounds);
+        }
         let _task = Task::named("rendering the picture");
         let (rgb, _) = scene.render_frame(&spec);
         if spec.appearance.background.fills(spec.size, rgb.as_chunks().0.iter().copied()) {
             tracing::warn!("{}: {SHOWS_NOTHING}", image.display());
         }
         image::write_png(image, spec.size, &rgb).with_context(|| format!("cannot write {}", image.display()))?;
-        say(format_args!("{}: {} samples, {}", image.display(), spec.size, counted(scene.n_triangles(), "triangle")))?;
+        say(format_args!(
+            "{}: {} samples, {}",
+            image.display(),
+            spec.size,
+            counted(scene.at(spec.detail).n_triangles(), "triangle")
+        ))?;
         stored.finish();
         Ok(())
     })

@@ -36,6 +36,17 @@ impl Grid {
     /// `progress` is called from any thread with the part that is done, from 0 to 1. A grid that would need more memory
     /// than the options allow is made coarser: see [`Grid::shortage`].
     pub fn build(mesh: Mesh, options: &GridOptions, progress: &(dyn Fn(f32) + Sync)) -> Self {
+        Self::build_beside(0, mesh, options, progress)
+    }
+
+    /// As [`Grid::build`], where the program holds so many bytes already.
+    pub(crate) fn build_beside(
+        n_bytes: usize,
+        mesh: Mesh,
+        options: &GridOptions,
+        progress: &(dyn Fn(f32) + Sync),
+    ) -> Self {
+        let program_bytes = PROGRAM_BYTES + n_bytes as u64;
         let bounds = mesh.bounds();
         if bounds.is_empty() {
             return Self::empty(TracedMesh::new(mesh, &mut []));
@@ -43,8 +54,8 @@ impl Grid {
 
         // Choose the density, and find the memory that is left for the grid beside the mesh.
         let density = choice::density(&mesh, options);
-        let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh);
-        let mesh_bytes_in_order = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh);
+        let mesh_bytes = program_bytes + TracedMesh::peak_bytes(&mesh);
+        let mesh_bytes_in_order = program_bytes + TracedMesh::bytes_in_order(&mesh);
         let most_bytes = options.memory_budget.remaining_beside(mesh_bytes);
         // Each cell has a part of the references that the budget allows, so their sum must have room.
         let references = (options.storage == Storage::Tree).then(|| choice::references(&mesh, density)).flatten();
@@ -53,7 +64,10 @@ impl Grid {
             in_order.max(mesh_bytes + n * TREE_BYTES_PER_REFERENCE)
         });
         let (grid, is_coarser) = match options.storage {
-            Storage::Tree => Self::tree(mesh, &bounds, density, options, most_bytes, progress),
+            Storage::Tree => {
+                let most_bytes_in_order = options.memory_budget.remaining_beside(mesh_bytes_in_order);
+                Self::tree(mesh, &bounds, density, [most_bytes, most_bytes_in_order], progress)
+            }
             Storage::Plain | Storage::RowDisplacement => Self::uniform(mesh, &bounds, density, options, most_bytes),
         };
 
@@ -68,13 +82,13 @@ impl Grid {
         Self { shortage, is_limited: is_coarser || grid.is_limited, ..grid }
     }
 
-    /// Builds a tree. Returns true, second, if cells stay undivided to save memory.
+    /// Builds a tree, of at most so many bytes beside the mesh as loaded, and beside the mesh in the tree's order. Returns true,
+    /// second, if cells stay undivided to save memory.
     fn tree(
         mesh: Mesh,
         bounds: &Aabb,
         density: f64,
-        options: &GridOptions,
-        most_bytes: u64,
+        [most_bytes, most_bytes_in_order]: [u64; 2],
         progress: &(dyn Fn(f32) + Sync),
     ) -> (Self, bool) {
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
@@ -111,8 +125,6 @@ impl Grid {
 
         // Limit the references: small scenes can afford more a triangle, and large triangles need them.
         let wanted_references = ((1 << 24) / n_triangles as u64).clamp(6, 64) * references.len() as u64;
-        let mesh_bytes = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh);
-        let most_bytes_in_order = options.memory_budget.remaining_beside(mesh_bytes);
         let affordable_references = (most_bytes / TREE_BYTES_PER_REFERENCE)
             .min(most_bytes_in_order / (TREE_BYTES_PER_REFERENCE + BOX_BYTES_PER_REFERENCE))
             .min(u64::from(u32::MAX));

@@ -45,8 +45,8 @@ pub struct Scene {
 
 /// A coarser mesh with its grid.
 pub(crate) struct StandIn {
-    /// The side of its cells is 2ⁿ units.
-    pub(crate) log2_side: i16,
+    /// Of its cells.
+    pub(crate) side: f32,
     /// Without stand-ins of its own.
     pub(crate) scene: Scene,
 }
@@ -70,12 +70,12 @@ impl Scene {
             return Grid::build(mesh, options, progress).into();
         }
         progress(0.2);
-        let n_bytes: usize = stand_ins.iter().map(|coarse| coarse.mesh.n_bytes()).sum();
-        let memory_budget = options.memory_budget.beside(n_bytes as u64).unwrap_or(options.memory_budget);
-        let grid = Grid::build(mesh, &GridOptions { memory_budget, ..*options }, &|done| progress(0.2 + 0.7 * done));
-        let built = stand_ins.into_iter().map(|StandInMesh { log2_side, mesh }| {
-            let scene = Grid::build(mesh, options, &|_| ()).into();
-            StandIn { log2_side, scene }
+        let n_bytes = stand_ins.iter().map(|coarse| coarse.mesh.n_bytes()).sum();
+        let grid = Grid::build_beside(n_bytes, mesh, options, &|done| progress(0.2 + 0.7 * done));
+        let n_bytes = n_bytes + grid.mesh().n_bytes() + grid.n_bytes();
+        let built = stand_ins.into_iter().map(|StandInMesh { side, mesh }| {
+            let scene = Grid::build_beside(n_bytes, mesh, options, &|_| ()).into();
+            StandIn { side, scene }
         });
         Self { stand_ins: built.collect(), ..grid.into() }
     }
@@ -83,7 +83,7 @@ impl Scene {
     /// The same scene under a sky image.
     #[must_use]
     pub fn with_sky(self, sky: Option<Arc<SkyMap>>) -> Self {
-        let under_sky = |StandIn { log2_side, scene }| StandIn { log2_side, scene: scene.with_sky(sky.clone()) };
+        let under_sky = |StandIn { side, scene }| StandIn { side, scene: scene.with_sky(sky.clone()) };
         Self { stand_ins: self.stand_ins.into_iter().map(under_sky).collect(), sky, ..self }
     }
 
@@ -99,7 +99,7 @@ impl Scene {
 
     /// The coarsest of the scene and its stand-ins that a frame may show.
     pub fn at(&self, detail: Detail) -> &Self {
-        let is_allowed = |coarse: &&StandIn| detail.allows(coarse.log2_side);
+        let is_allowed = |coarse: &&StandIn| detail.allows(coarse.side);
         self.stand_ins.iter().rfind(is_allowed).map_or(self, |coarse| &coarse.scene)
     }
 
@@ -124,9 +124,9 @@ impl Scene {
         self.stand_ins.iter().map(|StandIn { scene, .. }| scene.mesh().n_bytes() + scene.grid.n_bytes()).sum()
     }
 
-    /// Triangles of the stand-ins, the finest first, each with the side of its cells as a power of two.
-    pub fn stand_in_sizes(&self) -> impl Iterator<Item = (i16, usize)> {
-        self.stand_ins.iter().map(|coarse| (coarse.log2_side, coarse.scene.n_triangles()))
+    /// Triangles of the stand-ins, the finest first, each with the side of its cells.
+    pub fn stand_in_sizes(&self) -> impl Iterator<Item = (f32, usize)> {
+        self.stand_ins.iter().map(|coarse| (coarse.side, coarse.scene.n_triangles()))
     }
 
     /// A camera of world space in model space, in which everything is traced.

@@ -365,6 +365,45 @@ mod tests {
         }
     }
 
+    #[test]
+    fn stand_ins_have_the_same_bits_whatever_the_structure_and_the_instructions() {
+        let mesh = statue::generate(60_000, &|_| ()).smooth(Crease::default());
+        let camera = Camera::look_at(DVec3::new(0.6, 1.5, 5.0), DVec3::Y * 1.6, DVec3::Y, 0.7, 2.0).unwrap();
+        let of_instructions = InstructionSet::available().into_iter().map(|set| (GridOptions::default(), set));
+        let little =
+            GridOptions { memory_budget: "16M".parse().unwrap(), density: Some(0.5), ..GridOptions::default() };
+        let scenes = of_instructions.chain([(little, InstructionSet::best())]).map(|(options, instructions)| {
+            let mut scene = Scene::build_with_stand_ins(mesh.clone(), 1, &options, &|_| ());
+            scene.grids_mut().for_each(|grid| grid.instructions = instructions);
+            scene
+        });
+        let scenes: Vec<_> = scenes.collect();
+        let sizes: Vec<_> = scenes[0].stand_in_sizes().collect();
+        assert!(
+            sizes.len() > 2 && scenes.iter().all(|scene| scene.stand_in_sizes().eq(sizes.iter().copied())),
+            "{sizes:?}"
+        );
+
+        for rays in [LightingMode::Primary, LightingMode::AmbientOcclusion] {
+            let full = FrameSpec { camera, rays, ..spec(0, 1) };
+            let frame = |detail: Detail| {
+                let spec = FrameSpec { detail, ..full };
+                let frames: Vec<_> = scenes.iter().map(|scene| check_divisions(scene, &spec)).collect();
+                assert!(frames.iter().all(|frame| frame == &frames[0]), "{rays}, {detail:?}");
+                frames.into_iter().next()
+            };
+            let mut frames = vec![frame(Detail::FULL)];
+            assert!(frames[0] == frame(Detail::try_from(sizes[0].0 * 0.999).unwrap()), "no cells are so small");
+            for &(side, n_triangles) in &sizes {
+                let detail = Detail::try_from(side).unwrap();
+                assert_eq!(scenes[0].at(detail).n_triangles(), n_triangles);
+                frames.push(frame(detail));
+            }
+            frames.dedup();
+            assert_eq!(frames.len(), 1 + sizes.len(), "each stand-in is another");
+        }
+    }
+
     /// Renders a frame in several ways and gives it back.
     fn check_divisions(scene: &Scene, spec: &FrameSpec) -> Vec<u8> {
         let mut frames = Vec::new();

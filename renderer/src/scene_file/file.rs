@@ -40,7 +40,7 @@ pub(crate) struct Record<G> {
     budget: MemoryBudget,
     pub(crate) grid: G,
     /// With the sides of their cells.
-    stand_ins: Vec<(i16, G)>,
+    stand_ins: Vec<(f32, G)>,
 }
 
 /// A scene file that is open, with its head.
@@ -80,7 +80,7 @@ pub(crate) fn write(
         return Err(io::Error::other("scene files hold the default storage alone: leave --storage out"));
     }
     let (builder, info, sources) = (BUILDER.to_owned(), info.clone(), sources.cloned());
-    let stand_ins = scene.stand_ins.iter().map(|coarse| (coarse.log2_side, &coarse.scene.grid)).collect();
+    let stand_ins = scene.stand_ins.iter().map(|coarse| (coarse.side, &coarse.scene.grid)).collect();
     let record = codec::to_bytes(&Record { builder, info, sources, budget, grid: &scene.grid, stand_ins });
     let mut collector = Collector::default();
     scene.grids_mut().try_for_each(|grid| grid.visit_sections(&mut collector)).map_err(io::Error::other)?;
@@ -271,7 +271,8 @@ fn read_record(head: &Head) -> Result<Record<Grid>, Fault> {
     let are_few = shape.outline.len() <= 10 * MOST_LINES && found.len() + left_out.len() <= MOST_LINES;
     expect(is_shape && are_few && (1..=u32::MAX as usize).contains(n_triangles), "facts")?;
     let are_in_order = record.stand_ins.is_sorted_by(|(finer, _), (coarser, _)| finer < coarser);
-    expect(are_in_order && record.stand_ins.len() <= MOST_STAND_INS, "stand-ins")?;
+    let are_sides = record.stand_ins.iter().all(|(side, _)| side.is_finite() && *side > 0.0);
+    expect(are_in_order && are_sides && record.stand_ins.len() <= MOST_STAND_INS, "stand-ins")?;
     found.iter_mut().chain(left_out).for_each(|line| *line = printable_line(line));
     Ok(record)
 }
@@ -283,7 +284,7 @@ fn scene_of(
     record: Record<Grid>,
     progress: Option<&(dyn Fn(f32) + Sync)>,
 ) -> Result<Scene, Fault> {
-    let of_grid = |(log2_side, grid): (i16, Grid)| StandIn { log2_side, scene: grid.into_mapped().into() };
+    let of_grid = |(side, grid): (f32, Grid)| StandIn { side, scene: grid.into_mapped().into() };
     let stand_ins = record.stand_ins.into_iter().map(of_grid).collect();
     let mut scene = Scene { stand_ins, ..record.grid.into_mapped().into() };
     if let Some(progress) = progress {

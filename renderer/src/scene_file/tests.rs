@@ -103,6 +103,26 @@ fn a_scene_from_a_file_gives_the_same_bits() {
 }
 
 #[test]
+fn stand_ins_come_back_from_a_file_and_wrong_ones_are_refused() {
+    let mesh = statue::generate(20_000, &|_| ()).smooth(Crease::default());
+    let (info, _) = scene_of(mesh.clone(), &GridOptions::default());
+    let mut scene = Scene::build_with_stand_ins(mesh, 1, &GridOptions::default(), &|_| ());
+    let bytes = file::to_bytes(&mut scene, &info).unwrap();
+    let (_, again) = file::from_bytes(&bytes).unwrap();
+    let sizes: Vec<_> = scene.stand_in_sizes().collect();
+    assert!(sizes.len() > 2 && again.stand_in_sizes().eq(sizes.iter().copied()), "{sizes:?}");
+    for (side, _) in sizes {
+        let detail = Detail::try_from(side).unwrap();
+        assert!(picture(again.at(detail), &info) == picture(scene.at(detail), &info), "{side}");
+    }
+    assert!(picture(&again, &info) == picture(&scene, &info));
+
+    scene.stand_ins.reverse();
+    let wrong = file::to_bytes(&mut scene, &info).unwrap();
+    assert!(file::from_bytes(&wrong).is_err_and(|fault| fault.to_string().contains("stand-ins")));
+}
+
+#[test]
 fn other_storages_have_no_files() {
     let options = GridOptions { storage: Storage::Plain, ..GridOptions::default() };
     let (info, mut scene) = scene_of(statue::generate(2000, &|_| ()), &options);

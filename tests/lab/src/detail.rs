@@ -1,8 +1,7 @@
 //! `lab detail`: what a level of detail could save. A model that is finer than the picture's samples is traced as it is, and as a
-//! mesh of [`clusters`] as large as a sample, which is the most that a coarser stand-in can save: time, the bytes that a frame
+//! mesh of [clusters](renderer::model::clusters) as large as a sample, which is the most that a coarser stand-in can save: time, the bytes that a frame
 //! reads ([`touched`]), and the error of the picture.
 
-mod clusters;
 mod touched;
 
 use std::{
@@ -17,6 +16,7 @@ use renderer::{
     cli::{progress::Progress, say},
     grid::{GridOptions, MemoryBudget},
     model::{
+        clusters::clustered,
         mesh::Mesh,
         scene::{self, LoadedMesh, SceneSource},
     },
@@ -35,7 +35,7 @@ use shared::{
     scene::{Crease, SceneId},
 };
 
-use self::{clusters::clustered, touched::touched_bytes};
+use self::touched::touched_bytes;
 use crate::{
     chart::{FIRST_REFERENCE_SAMPLE, psnr},
     farm::frame_spec,

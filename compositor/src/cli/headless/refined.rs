@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use glam::DVec3;
 use renderer::cli::progress::Progress;
 use shared::protocol::FrameSpec;
 
@@ -20,14 +21,14 @@ impl Headless {
         farm: &Farm,
         wakeups: &Wakeups,
         n_frames: u32,
-        spec: FrameSpec,
+        (spec, fine_bounds): (FrameSpec, Option<(DVec3, DVec3)>),
         refinement: &mut Refinement,
     ) -> anyhow::Result<Report> {
         let mut report = Report::default();
         let is_moving = |report: &Report| report.n_frames() < n_frames as usize;
         let bar = Progress::new("refining the picture");
         let mut ended_at = Instant::now();
-        request_frame(farm, refinement.change(ended_at, spec).spec, true);
+        request_frame(farm, refinement.change(ended_at, spec, fine_bounds).spec, true);
         loop {
             if !is_moving(&report) {
                 if refinement.is_done() {
@@ -56,7 +57,7 @@ impl Headless {
             ended_at = Instant::now();
             if is_moving(&report) {
                 refinement.start_again();
-                request_frame(farm, refinement.change(ended_at, spec).spec, true);
+                request_frame(farm, refinement.change(ended_at, spec, fine_bounds).spec, true);
             } else {
                 farm.update_goal(|goal| goal.repeat = false);
             }

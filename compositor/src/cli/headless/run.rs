@@ -166,7 +166,9 @@ fn show_model(
     }
     match film {
         Some(film) => headless.show_film(farm, wakeups, &film, output),
-        None if refinement.is_on() => headless.show_refined(farm, wakeups, n_frames, spec, refinement),
+        None if refinement.is_on() => {
+            headless.show_refined(farm, wakeups, n_frames, (spec, model.fine_bounds()), refinement)
+        }
         None => headless.show_frames(farm, wakeups, n_frames),
     }
 }

@@ -109,7 +109,7 @@ impl Wall {
     /// Moves the camera and renders its frame. Returns the frame's size and time in seconds.
     fn move_on(&mut self) -> (FrameSize, f64) {
         self.n_moves += 1;
-        let step = self.refinement.change(self.now, spec_at(f64::from(self.n_moves)));
+        let step = self.refinement.change(self.now, spec_at(f64::from(self.n_moves)), None);
         assert_eq!((step.is_refinement, step.spec.samples), (false, SampleRange::CENTRE));
         (step.spec.size, self.render(&step.spec))
     }
@@ -197,7 +197,7 @@ fn a_farm_with_time_to_spare_lights_the_wall_s_own_resolution_in_motion() {
         assert_eq!(rays(&wall), Primary, "as they were chosen");
         let spec = FrameSpec { view: ShadingMode::Normals, ..spec_at(-1.0) };
         wall.refinement.set_lights_at_rest(true);
-        assert_eq!(wall.refinement.change(wall.now, spec).spec.rays, Primary, "normals need no light");
+        assert_eq!(wall.refinement.change(wall.now, spec, None).spec.rays, Primary, "normals need no light");
     }
 }
 
@@ -206,7 +206,7 @@ fn one_frame_that_takes_long_changes_nothing() {
     let mut wall = Wall::with_paper_frame_of(0.8 * INTERVAL_S);
     for n_between in [0, 1, 2, 5, 20] {
         wall.move_for(n_between);
-        let spec = wall.refinement.change(wall.now, spec_at(-1.0 - f64::from(n_between))).spec;
+        let spec = wall.refinement.change(wall.now, spec_at(-1.0 - f64::from(n_between)), None).spec;
         wall.refinement.on_frame(&spec, Duration::from_secs(2));
         let frames = wall.move_for(10);
         assert_eq!(n_changes(&frames), 0, "after {n_between}: {frames:?}");
@@ -268,7 +268,7 @@ fn a_resting_camera_is_refined_and_then_no_frame_is_asked_for() {
     assert!(refinements.iter().all(|spec| spec.samples.first == 0 && spec.camera == spec_at(30.0).camera));
     assert_eq!(wall.refinement.refine(wall.now + Duration::from_secs(1000)), None);
     // The same camera again is no motion.
-    let step = wall.refinement.change(wall.now, spec_at(30.0));
+    let step = wall.refinement.change(wall.now, spec_at(30.0), None);
     assert_eq!((step.spec, wall.refinement.is_done()), (refinements[2], true));
     assert_eq!(wall.move_on().0, moving, "the next motion starts with the last one's resolution");
 }
@@ -277,7 +277,7 @@ fn a_resting_camera_is_refined_and_then_no_frame_is_asked_for() {
 fn refinement_waits_for_a_rest_and_for_the_coarse_frame() {
     let mut wall = Wall::with_paper_frame_of(INTERVAL_S / 2.0);
     let start = wall.now;
-    let step = wall.refinement.change(start, spec_at(1.0));
+    let step = wall.refinement.change(start, spec_at(1.0), None);
     assert_eq!(wall.refinement.refine(start + 9 * REST), None, "the coarse frame has not come");
     wall.refinement.on_frame(&step.spec, Duration::from_millis(1));
     assert_eq!(wall.refinement.refines_at(), Some(start + REST));
@@ -285,12 +285,39 @@ fn refinement_waits_for_a_rest_and_for_the_coarse_frame() {
     let finer = wall.refinement.refine(start + REST).unwrap();
     assert_eq!(wall.refinement.refine(start + 9 * REST), None, "one refinement at a time");
     // A motion ends the refinement; a frame of it that comes later does not count.
-    let step = wall.refinement.change(start + REST, spec_at(2.0));
+    let step = wall.refinement.change(start + REST, spec_at(2.0), None);
     assert!(!step.is_refinement);
     wall.refinement.on_frame(&finer.spec, Duration::from_secs(1));
     assert_eq!(wall.refinement.refines_at(), None);
     wall.refinement.on_frame(&step.spec, Duration::from_millis(1));
     assert_eq!(wall.refinement.refines_at(), Some(start + 2 * REST));
+}
+
+#[test]
+fn stand_ins_show_a_fine_model_in_motion_and_never_at_rest() {
+    let bounds = (DVec3::NEG_ONE, DVec3::ONE);
+    let mut wall = Wall::with_paper_frame_of(0.02);
+    let cut = Appearance { clip: "x:50".parse().ok(), ..Appearance::default() };
+    let asked = [spec_at(1.0), FrameSpec { appearance: cut, ..spec_at(2.0) }];
+    let [moving, cut] = asked.map(|spec| wall.refinement.change(wall.now, spec, Some(bounds)).spec);
+    let [none, costs] = [(spec_at(3.0), None), (FrameSpec { view: ShadingMode::Cost, ..spec_at(4.0) }, Some(bounds))]
+        .map(|(spec, bounds)| wall.refinement.change(wall.now, spec, bounds).spec);
+    assert_eq!(moving.detail, Detail::of_samples(&moving.camera, moving.size, bounds));
+    assert_ne!(moving.detail, Detail::FULL);
+    assert_eq!([cut, none, costs].map(|spec| spec.detail), [Detail::FULL; 3]);
+
+    let step = wall.refinement.change(wall.now, spec_at(5.0), Some(bounds));
+    wall.render(&step.spec);
+    assert_eq!(wall.refinement.change(wall.now, spec_at(5.0), Some(bounds)), step, "nothing has moved");
+    let refinements = wall.rest();
+    assert!(!refinements.is_empty() && refinements.iter().all(|spec| spec.detail == Detail::FULL));
+    // One sample in the native resolution while moving: the same at rest is another picture.
+    let one = RefinementOptions { n_samples: 1, native: FrameSize::PAPER, ..options() };
+    wall.refinement = Refinement::new(one);
+    let step = wall.refinement.change(wall.now, spec_at(6.0), Some(bounds));
+    assert_eq!(step.spec.size, FrameSize::PAPER);
+    wall.render(&step.spec);
+    assert_eq!(wall.rest(), [FrameSpec { detail: Detail::FULL, ..step.spec }]);
 }
 
 #[test]
@@ -300,8 +327,10 @@ fn without_refinement_every_frame_has_the_fixed_resolution() {
     let frames = wall.move_for(20);
     assert!(frames.iter().all(|frame| frame.0 == options().fixed_size));
     assert_eq!((wall.refinement.is_done(), wall.refinement.refines_at()), (true, None));
+    let fine = wall.refinement.change(wall.now, spec_at(19.5), Some((DVec3::NEG_ONE, DVec3::ONE)));
+    assert_eq!(fine.spec.detail, Detail::FULL);
     wall.refinement.set_on(true);
-    let step = wall.refinement.change(wall.now, spec_at(20.0));
+    let step = wall.refinement.change(wall.now, spec_at(20.0), None);
     wall.render(&step.spec);
     assert_eq!(wall.rest().len(), 3, "switched on, the picture is refined");
 }
@@ -318,10 +347,10 @@ fn paths_light_a_picture_at_rest_unless_other_rays_were_chosen() {
     wall.refinement.set_lights_at_rest(true);
     let lit = [(1, Primary), (4, Primary), (4, AmbientOcclusion), (16, Path), (256, Path)];
     assert_eq!(rest(&mut wall), lit);
-    let same = wall.refinement.change(wall.now, spec_at(f64::from(wall.n_moves))).spec;
+    let same = wall.refinement.change(wall.now, spec_at(f64::from(wall.n_moves)), None).spec;
     assert_eq!((same.samples.count, same.rays), (256, Path), "it need not become coarse again");
     wall.refinement.set_lights_at_rest(false);
-    let chosen = wall.refinement.change(wall.now, spec_at(f64::from(wall.n_moves))).spec;
+    let chosen = wall.refinement.change(wall.now, spec_at(f64::from(wall.n_moves)), None).spec;
     assert_eq!((chosen.samples.count, chosen.rays), (1, Primary));
 }
 
@@ -330,7 +359,7 @@ fn paths_light_a_picture_at_rest_only() {
     use LightingMode::{Path, Primary};
     let mut refinement = Refinement::new(options());
     let (start, asked) = (Instant::now(), FrameSpec { rays: Path, ..spec_at(1.0) });
-    let moving = refinement.change(start, asked).spec;
+    let moving = refinement.change(start, asked, None).spec;
     assert_eq!((moving.samples.count, moving.rays), (1, Primary), "in motion they would be noise");
     assert_eq!(refinement.n_samples(), SampleRange::LARGEST_COUNT);
     refinement.on_frame(&moving, Duration::from_millis(20));
@@ -343,11 +372,11 @@ fn paths_light_a_picture_at_rest_only() {
     let (all, limit) = (NoiseLimit::NONE, NoiseLimit::default());
     assert_eq!(steps, [(1, all, Primary), (4, all, Primary), (16, limit, Path), (256, limit, Path)]);
     assert!(refinement.is_done() && refinement.refines_at().is_none(), "then nothing is rendered");
-    let same = refinement.change(start, asked).spec;
+    let same = refinement.change(start, asked, None).spec;
     assert_eq!((same.samples.count, same.rays), (256, Path), "it need not become coarse again");
-    assert_eq!(refinement.change(start, spec_at(1.0)).spec.rays, Primary, "other rays are another picture");
+    assert_eq!(refinement.change(start, spec_at(1.0), None).spec.rays, Primary, "other rays are another picture");
     refinement.set_on(false);
-    assert_eq!(refinement.change(start, asked).spec.rays, Path, "without refinement, frames are as asked");
+    assert_eq!(refinement.change(start, asked, None).spec.rays, Path, "without refinement, frames are as asked");
 }
 
 #[test]
@@ -361,13 +390,13 @@ fn a_change_of_the_sun_is_shown_by_paths_that_hold_the_rate() {
     for (asked, lights_at_rest) in [(Path, false), (Primary, true)] {
         let mut wall = Wall::with_paper_frame_of(2.0 * INTERVAL_S);
         wall.refinement.set_lights_at_rest(lights_at_rest);
-        let first = wall.refinement.change(wall.now, with_sun(40, asked)).spec;
+        let first = wall.refinement.change(wall.now, with_sun(40, asked), None).spec;
         assert_eq!(first.rays, Primary, "the camera moves");
         wall.render(&first);
         wall.rest();
         let steps: Vec<_> = (0..100u16)
             .map(|step| {
-                let spec = wall.refinement.change(wall.now, with_sun(41 + step, asked)).spec;
+                let spec = wall.refinement.change(wall.now, with_sun(41 + step, asked), None).spec;
                 assert_eq!((spec.rays, spec.samples), (Path, SampleRange::all(0, CHANGING_PATHS)));
                 (spec.size, wall.render(&spec))
             })
@@ -376,7 +405,7 @@ fn a_change_of_the_sun_is_shown_by_paths_that_hold_the_rate() {
         let refinements = wall.rest();
         let counts: Vec<_> = refinements.iter().map(|spec| (spec.size, spec.samples.count, spec.rays)).collect();
         assert_eq!(counts, [16, 256].map(|count| (options().native, count, Path)), "no other rays come between");
-        let moved = wall.refinement.change(wall.now, FrameSpec { rays: asked, ..spec_at(2.0) }).spec;
+        let moved = wall.refinement.change(wall.now, FrameSpec { rays: asked, ..spec_at(2.0) }, None).spec;
         assert_eq!((moved.rays, moved.samples), (Primary, SampleRange::CENTRE));
     }
 }
@@ -385,7 +414,7 @@ fn a_change_of_the_sun_is_shown_by_paths_that_hold_the_rate() {
 fn normals_need_no_paths() {
     let mut refinement = Refinement::new(options());
     let (start, view) = (Instant::now(), ShadingMode::Normals);
-    let moving = refinement.change(start, FrameSpec { rays: LightingMode::Path, view, ..spec_at(1.0) }).spec;
+    let moving = refinement.change(start, FrameSpec { rays: LightingMode::Path, view, ..spec_at(1.0) }, None).spec;
     refinement.on_frame(&moving, Duration::from_millis(20));
     let mut last = moving;
     while let Some(step) = refinement.refine(start + REST) {
