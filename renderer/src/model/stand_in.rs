@@ -14,7 +14,7 @@ pub const LEAST_TRIANGLES: usize = 1 << 24;
 const LEAST_FACTOR: [usize; 2] = [4, 2];
 
 /// A surface of a cell's square gives about this many triangles: two, and more where it passes slantwise.
-const TRIANGLES_PER_SQUARE: f64 = 3.0;
+const TRIANGLES_PER_SQUARE: f64 = 4.0;
 
 /// Cells of the first stand-in have at least about this many triangles a square: all stand-ins together then have a sixth of
 /// those of the mesh at most.

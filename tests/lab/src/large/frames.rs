@@ -17,7 +17,9 @@ use renderer::{
 use serde::Serialize;
 use shared::{
     camera::{Camera, CanvasPart, Shape},
+    detail::Detail,
     division::{Division, FrameSize},
+    protocol::FrameSpec,
     scene::{Crease, SceneId},
 };
 
@@ -47,11 +49,16 @@ pub(super) struct FrameFigures {
     cameras: [Camera; 2],
     pub(super) whole: FrameFigure,
     pub(super) close: FrameFigure,
+    /// In motion, where stand-ins show what is finer than samples.
+    pub(super) whole_in_motion: FrameFigure,
+    pub(super) close_in_motion: FrameFigure,
 }
 
 /// Those with one camera: traced and shaded, one ray a sample.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(super) struct FrameFigure {
+    /// Of the model, or of the stand-in that is shown.
+    triangles: usize,
     /// On all cores.
     pub(super) frame_ms: f64,
     /// Samples over the CPU time of one thread.
@@ -98,8 +105,8 @@ pub(super) fn measure(files: &Files) -> Result<FrameFigures> {
 
     let size = FrameSize::PAPER;
     let cameras = views(&scene, &info.shape, size);
-    let [whole, close] = cameras.map(|camera| {
-        let spec = frame_spec(info.id, camera, size);
+    let figure = |camera: Camera, detail: Detail| {
+        let spec = FrameSpec { detail, ..frame_spec(info.id, camera, size) };
         let mut times_ms = [Vec::new(), Vec::new()];
         // The first frame of each reads the file.
         for frame in 0..=N_FRAMES {
@@ -111,9 +118,14 @@ pub(super) fn measure(files: &Files) -> Result<FrameFigures> {
             }
         }
         let [frame_ms, cpu_ms] = times_ms.map(median);
-        FrameFigure { frame_ms, mpixel_per_core_s: f64::from(size.n_samples()) / cpu_ms / 1e3 }
-    });
-    Ok(FrameFigures { n_triangles: scene.n_triangles(), id: info.id, cameras, whole, close })
+        let n_triangles = scene.at(detail).n_triangles();
+        FrameFigure { triangles: n_triangles, frame_ms, mpixel_per_core_s: f64::from(size.n_samples()) / cpu_ms / 1e3 }
+    };
+    let [whole, close] = cameras.map(|camera| figure(camera, Detail::FULL));
+    let [whole_in_motion, close_in_motion] =
+        cameras.map(|camera| figure(camera, Detail::of_samples(&camera, size, info.shape.bounds)));
+    let n_triangles = scene.n_triangles();
+    Ok(FrameFigures { n_triangles, id: info.id, cameras, whole, close, whole_in_motion, close_in_motion })
 }
 
 /// The memory of one render server with the scene, and of two together, after both have rendered frames of both views.
