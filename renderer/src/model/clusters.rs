@@ -28,7 +28,7 @@ struct Lattice {
     side: f64,
     bricks: HashMap<[i64; 3], usize>,
     /// The numbers of each brick's cells.
-    numbers: Vec<Box<[u32; BRICK_CELLS]>>,
+    numbers: Vec<[u32; BRICK_CELLS]>,
     /// The brick that was met last.
     last: ([i64; 3], usize),
     n_cells: u32,
@@ -47,7 +47,7 @@ impl Lattice {
             let next = self.numbers.len();
             let index = *self.bricks.entry(brick).or_insert(next);
             if index == next {
-                self.numbers.push(Box::new([NONE; BRICK_CELLS]));
+                self.numbers.push([NONE; BRICK_CELLS]);
             }
             self.last = (brick, index);
         }
