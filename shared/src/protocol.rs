@@ -35,7 +35,7 @@ use crate::{
 };
 
 /// The version of all messages, and of the bits of a frame: a change to either changes it.
-pub const PROTOCOL_VERSION: u8 = 19;
+pub const PROTOCOL_VERSION: u8 = 20;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -128,7 +128,7 @@ pub struct SampleRange {
     pub first: u32,
     /// Number of samples, from 1 to [`SampleRange::LARGEST_COUNT`].
     pub count: u32,
-    /// Path-traced tiles with no more noise than this get fewer samples.
+    /// Path-traced pixels with no more noise than this get fewer samples.
     pub noise: NoiseLimit,
 }
 
