@@ -65,7 +65,7 @@ pub(crate) struct OverlayModel {
     pub is_refining: bool,
     /// Samples a pixel: of the newest frame, and after refinement.
     pub n_samples: [u32; 2],
-    /// Whether tiles with little noise got fewer samples.
+    /// Whether pixels with little noise got fewer samples.
     pub has_noise_limit: bool,
     pub up: UpAxis,
     pub up_is_guessed: bool,

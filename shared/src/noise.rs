@@ -4,9 +4,9 @@ use std::{fmt, str::FromStr};
 
 use serde::{Deserialize, Serialize};
 
-/// A tile of a path-traced picture whose noise is estimated to be this or less gets no more samples: root of the mean
-/// square, over the tile's channels and squares of 2×2 pixels, of the error of the mean of encoded values. Tiles of many
-/// samples may keep somewhat more, and those of few less.
+/// A pixel of a path-traced picture whose noise is estimated to be this or less after eight samples gets no more: root of the
+/// mean square, over channels and neighbours, of the error of the mean of encoded values. It may be more after more samples,
+/// in proportion to the root of their number.
 ///
 /// Invariant, on the wire too: at most 100 levels of the 255 that a channel has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -21,7 +21,7 @@ pub struct NoiseLimit {
 pub struct NoiseLimitError;
 
 impl NoiseLimit {
-    /// No noise is little enough: every tile gets all samples.
+    /// No noise is little enough: every pixel gets all samples.
     pub const NONE: Self = Self { centilevels: 0 };
 
     /// Hundredths of a level, 0 to 10,000.

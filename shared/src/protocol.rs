@@ -129,7 +129,7 @@ pub struct SampleRange {
     pub first: u32,
     /// Number of samples, from 1 to [`SampleRange::LARGEST_COUNT`].
     pub count: u32,
-    /// Path-traced tiles with no more noise than this get fewer samples.
+    /// Path-traced pixels with no more noise than this get fewer samples.
     pub noise: NoiseLimit,
 }
 

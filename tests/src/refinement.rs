@@ -108,7 +108,7 @@ fn a_wall_without_a_window_writes_the_refined_picture() {
     assert!(refined == fixed("128x72", "9", &["--rays", "path"]).0, "it differs from a frame of that many samples");
     let (plain, _) = fixed("64x36", "9", &["--target-rate", "30", "--rays", "primary"]);
     assert!(plain == fixed("128x72", "9", &[]).0, "chosen rays are kept");
-    // Tiles stop at a noise, in one division of several render servers as in another of one.
+    // Pixels stop at a noise, in one division of several render servers as in another of one.
     let noisy = ["--noise", "4", "--rays", "path"];
     let (refined, said) = fixed("64x36", "99", &[&noisy[..], &["--target-rate", "30", "--local", "2"]].concat());
     assert!(said.contains("samples a pixel: 16") && said.contains("samples a pixel: 99"), "{said}");

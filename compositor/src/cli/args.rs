@@ -146,8 +146,8 @@ pub struct WallArgs {
     /// follows the motion; with --rays path in a film, at rest and with --headless as many as --noise needs, up to 256; else 1]
     #[arg(long, value_name = "N", value_parser = between(1..=SampleRange::LARGEST_COUNT))]
     pub samples: Option<u32>,
-    /// With --rays path: the noise at which a tile gets no more rays, in levels of the 255 of a channel; 0 gives all tiles all
-    /// --samples [default: 1.5; 0 with --samples]
+    /// With --rays path: the noise at which a pixel gets no more rays, in levels of the 255 of a channel; 0 gives all pixels
+    /// all --samples [default: 1.5; 0 with --samples]
     #[arg(long, value_name = "LEVELS", allow_hyphen_values = true)]
     pub noise: Option<NoiseLimit>,
     /// Frames a second while the camera moves: the resolution drops until this rate is reached; at rest the wall returns to

@@ -31,7 +31,7 @@ pub(crate) const DEFAULT_TARGET_RATE: f64 = 30.0;
 pub(crate) const DEFAULT_SAMPLES: u32 = 16;
 
 /// Paths a pixel of the first frame that has any: fewer have more noise than the frame before them. All others follow in one
-/// frame, in which each tile gets as many as its noise needs.
+/// frame, in which each pixel gets as many as its noise needs.
 const FEWEST_PATHS: u32 = 16;
 
 /// Paths a pixel while sun or exposure change.

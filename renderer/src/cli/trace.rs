@@ -31,7 +31,7 @@ pub struct TraceArgs {
     #[arg(long, value_name = "N", value_parser = between(1..=SampleRange::LARGEST_COUNT))]
     samples: Option<u32>,
 
-    /// With --rays path: the noise at which a tile gets no more rays, in levels of the 255 of a channel; 0 gives all tiles
+    /// With --rays path: the noise at which a pixel gets no more rays, in levels of the 255 of a channel; 0 gives all pixels
     /// all --samples [default: 1.5; 0 with --samples]
     #[arg(long, value_name = "LEVELS", allow_hyphen_values = true)]
     noise: Option<NoiseLimit>,

@@ -217,11 +217,15 @@ impl LightSums {
         rest
     }
 
-    /// Puts the light of block `from` in the place of block `to`.
-    pub(super) fn replace(&mut self, to: usize, from: usize) {
-        self.lights[to] = self.lights[from];
-        if !self.as_it_is.is_empty() {
-            self.as_it_is.copy_within(64 * from..64 * (from + 1), 64 * to);
+    /// The light of some of the pixels, each of which has its place in all blocks.
+    pub(super) fn of_pixels(&self, places: &[usize]) -> Self {
+        let mut picked = self.clone();
+        for (to, &from) in places.iter().enumerate() {
+            picked.lights.as_flattened_mut()[to] = self.lights.as_flattened()[from];
+            if !self.as_it_is.is_empty() {
+                picked.as_it_is[to] = self.as_it_is[from];
+            }
         }
+        picked
     }
 }

@@ -1,14 +1,13 @@
-//! As many samples as a tile needs: the noise of path-traced tiles is estimated, and those with little get no more.
+//! As many samples as a pixel needs: the noise of path-traced pixels is estimated, and those with little get no more.
 //!
-//! The estimate is a pure function of a tile's samples, so every render server stops at the same one. It compares the mean of
-//! the first half of the samples with that of the second, as a display would show them: both are low-discrepancy samples
-//! where their number is a power of two, and the many values of a tile make the estimate a good one. Tiles rather than pixels
-//! decide, because a pixel whose few samples happen to agree would stop too early. Means of squares of 2×2 pixels are
-//! compared: the samples of neighbours complement each other, so single pixels keep a grain that is finer than what is seen.
+//! The estimate is a pure function of the samples of a pixel's tile, so every render server stops at the same one. It compares
+//! the mean of the first half of the samples with that of the second, as a display would show them: both are low-discrepancy
+//! samples where their number is a power of two. A pixel whose few samples happen to agree must not stop too early, so the
+//! estimates of neighbours in its tile, and its earlier ones, count as well.
 //!
-//! Samples that are proportional to the standard deviation of a tile's light give a picture the least error; tiles of equal
-//! noise, as many as their variance asks for, are no better in that than equal numbers everywhere. Between the two, a tile
-//! that needs many samples may keep somewhat more noise: see [`allowed`].
+//! Samples that are proportional to the standard deviation of a pixel's light give a picture the least error; pixels of equal
+//! noise, as many as their variance asks for, are no better in that than equal numbers everywhere. So a pixel that needs many
+//! samples may keep more noise: see [`allowed`].
 
 use std::{collections::BTreeMap, ops::Range};
 
@@ -25,16 +24,17 @@ use crate::render::{
 };
 
 /// Samples of each pixel before the first estimate: a power of two, so that its halves are low-discrepancy samples. Those of
-/// 64 pixels complement each other, and also find small bright features.
+/// 64 pixels complement each other, and also find small bright features. A pixel that needs no more may keep just the noise of
+/// the limit.
 const FEWEST_SAMPLES: u32 = 8;
 
-/// A tile that needs this many samples may keep just the noise of the limit.
-const USUAL_SAMPLES: u32 = 64;
-
-/// Between one estimate and the next, a tile may stop after each of so many parts of the samples.
+/// Between one estimate and the next, a pixel may stop after each of so many parts of the samples.
 const N_STEPS: u32 = 4;
 
-/// The limit of a frame whose tiles may stop early.
+/// The noise of a pixel is estimated from those of its tile that are at most so far away along each side.
+const REACH: usize = 2;
+
+/// The limit of a frame whose pixels may stop early.
 pub(super) fn of_frame(spec: &FrameSpec) -> Option<NoiseLimit> {
     let may_stop = spec.view == ShadingMode::Shaded
         && spec.rays == LightingMode::Path
@@ -74,81 +74,95 @@ pub(super) fn sum_lights(
     }
 }
 
-/// Sums the light of neighbouring tiles, each until its noise is below the limit.
+/// A pixel that gets more samples.
+struct Pixel {
+    tile: usize,
+    /// Its number in the tile, row by row.
+    index: usize,
+    /// The number of samples after which it has enough, as far as is known.
+    end: u32,
+}
+
+/// Sums the light of neighbouring tiles, of each pixel until its noise is below the limit.
 fn sum_group(
     sampler: &mut Sampler<'_>,
-    blocks: &[SampleBlock<'_>],
+    tiles: &[SampleBlock<'_>],
     (most, limit): (u32, NoiseLimit),
     mut visit: impl FnMut(&Lighting<'_>, &LightSums, (usize, usize), usize),
 ) {
-    let mut blocks = blocks.to_vec();
+    // Neighbours lie together in packets, as they do in those of whole tiles.
+    let of_tile = |(tile, block): (usize, &SampleBlock<'_>)| {
+        let lanes = block.sample_of_lane().into_iter().take(block.n_samples());
+        lanes.map(move |index| Pixel { tile, index, end: most }).collect::<Vec<_>>()
+    };
+    let mut pixels: Vec<_> = tiles.iter().enumerate().flat_map(of_tile).collect();
+    let mut squared_noises = vec![[0.0; 64]; tiles.len()];
     let mut sums = sampler.lighting.no_light();
-    sampler.add(&blocks, 0..FEWEST_SAMPLES / 2, &mut sums);
+    add(sampler, tiles, &pixels, FEWEST_SAMPLES / 2, &mut sums);
     let mut half = sums.clone();
-    sampler.add(&blocks, FEWEST_SAMPLES / 2..FEWEST_SAMPLES, &mut sums);
+    add(sampler, tiles, &pixels, FEWEST_SAMPLES, &mut sums);
     while !sampler.is_unwanted() {
         let n_samples = sums.n_samples;
         let halves = [&half, &sums.without(&half)];
-        let estimate = |(index, block): (usize, &SampleBlock<'_>)| {
-            let noise = squared_noise(&sampler.lighting, halves, index, block);
-            n_steps(noise, n_samples, limit).map_or(most, |steps| most.min(n_samples + steps * (n_samples / N_STEPS)))
-        };
-        let mut ends: Vec<_> = blocks.iter().enumerate().map(estimate).collect();
+        // A square falls at least as fast as the number of samples rises; pixels that have enough also count as if they had more.
+        squared_noises.as_flattened_mut().iter_mut().for_each(|squared| *squared *= 0.5);
+        for (place, pixel) in pixels.iter().enumerate() {
+            let squared = squared_noise(&sampler.lighting, halves, place);
+            let known = &mut squared_noises[pixel.tile][pixel.index];
+            *known = if n_samples == FEWEST_SAMPLES { squared } else { 0.5 * (*known + squared) };
+        }
+        for Pixel { tile, index, end } in &mut pixels {
+            let of_tile = &squared_noises[*tile][..tiles[*tile].n_samples()];
+            let steps = n_steps(mean_around(of_tile, tiles[*tile].row_length(), *index), n_samples, limit);
+            *end = steps.map_or(most, |steps| most.min(n_samples + steps * (n_samples / N_STEPS)));
+        }
         half = sums.clone();
-        // Add samples in steps, and put aside the tiles that have enough.
+        // Add samples in steps, and put aside the pixels that have enough.
         for step in 0..=N_STEPS {
             let end = (n_samples + step * (n_samples / N_STEPS)).min(most);
-            sampler.add(&blocks, sums.n_samples..end, &mut sums);
-            for index in (0..blocks.len()).rev() {
-                if ends[index] > end {
-                    continue;
-                }
-                for pixel in 0..blocks[index].n_samples() {
-                    visit(&sampler.lighting, &sums, (index, pixel), blocks[index].output_index(pixel));
-                }
-                ends.swap_remove(index);
-                blocks.swap_remove(index);
-                sums.replace(index, blocks.len());
-                half.replace(index, blocks.len());
+            add(sampler, tiles, &pixels, end, &mut sums);
+            let (done, more): (Vec<_>, Vec<_>) = (0..pixels.len()).partition(|&place| pixels[place].end <= end);
+            for place in done {
+                let Pixel { tile, index, .. } = pixels[place];
+                visit(&sampler.lighting, &sums, (place / 64, place % 64), tiles[tile].output_index(index));
             }
-            if blocks.is_empty() {
+            if more.is_empty() {
                 return;
             }
+            if more.len() < pixels.len() {
+                (sums, half) = (sums.of_pixels(&more), half.of_pixels(&more));
+                pixels.retain(|pixel| pixel.end > end);
+            }
         }
     }
 }
 
-/// The estimated square of a tile's noise in levels, from two halves of its samples: the mean square, over all squares of 2×2
-/// pixels and channels, of the error of the mean of encoded values, which is half of the halves' difference.
-fn squared_noise(lighting: &Lighting<'_>, halves: [&LightSums; 2], block: usize, of: &SampleBlock<'_>) -> f64 {
-    let mut differences = [[0; 3]; 64];
-    for (pixel, difference) in differences.iter_mut().enumerate().take(of.n_samples()) {
-        let [a, b] = halves.map(|sums| lighting.encode(sums, (block, pixel)));
-        *difference = std::array::from_fn(|channel| i32::from(a[channel]) - i32::from(b[channel]));
-    }
-    of_differences(&differences[..of.n_samples()], of.row_length())
+/// Adds samples of pixels of neighbouring tiles up to this number; the sums are in the order of the pixels.
+fn add(sampler: &mut Sampler<'_>, tiles: &[SampleBlock<'_>], pixels: &[Pixel], end: u32, sums: &mut LightSums) {
+    let all: Vec<_> = pixels.iter().map(|pixel| tiles[pixel.tile].sample(pixel.index)).collect();
+    let places: Vec<_> = (0..all.len()).collect();
+    let blocks: Vec<_> = places.chunks(64).map(|indices| SampleBlock::Selection { all: &all, indices }).collect();
+    sampler.add(&blocks, sums.n_samples..end, sums);
 }
 
-/// The same from the differences between halves of a tile's pixels, row by row.
-fn of_differences(differences: &[[i32; 3]], row_length: usize) -> f64 {
-    let n_rows = differences.len() / row_length;
-    // Parts of tiles at a frame's edge may be narrower than a square.
-    let [width, height] = [row_length, n_rows].map(|along| along.min(2));
-    let (mut sum, mut n) = (0, 0);
-    for (row, column) in (0..=n_rows - height).flat_map(|row| (0..=row_length - width).map(move |at| (row, at))) {
-        let mut of_square = [0; 3];
-        for k in 0..width * height {
-            let difference = differences[(row + k / width) * row_length + column + k % width];
-            of_square.iter_mut().zip(difference).for_each(|(sum, difference)| *sum += difference);
-        }
-        sum += of_square.map(|of_channel| i64::from(of_channel * of_channel)).iter().sum::<i64>();
-        n += 3;
-    }
-    let n_pixels = (width * height) as f64;
-    sum as f64 / (4.0 * n_pixels * n_pixels * f64::from(n))
+/// The estimated square of a pixel's noise in levels, from two halves of its samples: the mean square, over the channels, of the
+/// error of the mean of encoded values, which is half of the halves' difference.
+fn squared_noise(lighting: &Lighting<'_>, halves: [&LightSums; 2], place: usize) -> f64 {
+    let [a, b] = halves.map(|sums| lighting.encode(sums, (place / 64, place % 64)));
+    let differences = a.into_iter().zip(b).map(|(a, b)| i32::from(a) - i32::from(b));
+    f64::from(differences.map(|difference| difference * difference).sum::<i32>()) / 12.0
 }
 
-/// After how many steps of a quarter of its `n_samples` samples a tile has enough: 0 if it has already; `None` if another
+/// The mean of the numbers of a tile's pixels, row by row, around one of them.
+fn mean_around(numbers: &[f64], row_length: usize, index: usize) -> f64 {
+    let around = |at: usize, n: usize| at.saturating_sub(REACH)..(at + REACH + 1).min(n);
+    let (rows, columns) =
+        (around(index / row_length, numbers.len() / row_length), around(index % row_length, row_length));
+    let n = rows.len() * columns.len();
+    rows.flat_map(|row| &numbers[row * row_length..][columns.clone()]).sum::<f64>() / n as f64
+}
+
+/// After how many steps of a quarter of its `n_samples` samples a pixel has enough: 0 if it has already; `None` if another
 /// estimate comes first.
 fn n_steps(squared_noise: f64, n_samples: u32, limit: NoiseLimit) -> Option<u32> {
     (0..N_STEPS).find(|steps| {
@@ -158,14 +172,12 @@ fn n_steps(squared_noise: f64, n_samples: u32, limit: NoiseLimit) -> Option<u32>
     })
 }
 
-/// The square of the noise that a tile of so many samples may keep.
+/// The square of the noise that a pixel of so many samples may keep.
 ///
-/// It grows with the root of their number. With variances v and squares of the noise v/n, the numbers are then proportional to
-/// v^⅔, between those of the least error, v^½, and those of equal noise, v. Where the logarithms of variances are normal, nine
-/// tenths of what the former saves are saved.
+/// It grows as their number. With variances v and squares of the noise v/n, the numbers are then proportional to v^½.
 fn allowed(n_samples: f64, limit: NoiseLimit) -> f64 {
     let levels = f64::from(limit.centilevels()) / 100.0;
-    levels * levels * (n_samples / f64::from(USUAL_SAMPLES)).sqrt()
+    levels * levels * n_samples / f64::from(FEWEST_SAMPLES)
 }
 
 #[cfg(test)]
@@ -173,30 +185,30 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_tile_stops_where_its_error_is_expected_to_reach_the_limit() {
+    fn a_pixel_stops_where_its_error_is_expected_to_reach_the_limit() {
         let limit = "2".parse().unwrap();
         let steps = |noise: f64, n_samples| n_steps(noise * noise, n_samples, limit);
+        // The error falls, and the limit rises, with the root of the number of samples.
         let expected = [Some(0), Some(0), Some(1), Some(2), Some(3), None];
-        assert_eq!([0.0, 2.0, 2.1, 2.7, 3.0, 3.1].map(|noise| steps(noise, 64)), expected);
-        // A quarter of the samples: the square of the limit is half as large.
-        assert_eq!([1.41, 1.42].map(|noise| steps(noise, 16)), [Some(0), Some(1)]);
-        assert_eq!(n_steps(0.03, 64, "0.1".parse().unwrap()), None);
+        assert_eq!([0.0, 2.0, 2.1, 2.6, 3.1, 3.6].map(|noise| steps(noise, 8)), expected);
+        // Four times as many samples: the limit is twice as large.
+        assert_eq!([3.9, 4.1].map(|noise| steps(noise, 32)), [Some(0), Some(1)]);
+        assert_eq!(n_steps(0.1, 8, "0.1".parse().unwrap()), None);
     }
 
     #[test]
-    fn the_noise_is_that_of_means_of_squares() {
-        // Halves that differ by d levels everywhere: the error is d / 2.
+    fn the_noise_is_that_of_the_neighbours_in_the_tile() {
         for (row_length, n_rows) in [(8, 8), (8, 1), (1, 8), (3, 5), (1, 1)] {
-            let squared = of_differences(&vec![[6; 3]; row_length * n_rows], row_length);
-            assert_eq!(squared, 9.0, "{row_length} {n_rows}");
+            let numbers: Vec<_> = (0..row_length * n_rows).map(|at| (at * at) as f64).collect();
+            for index in 0..numbers.len() {
+                let is_near = |at: usize| {
+                    (at / row_length).abs_diff(index / row_length) <= 2
+                        && (at % row_length).abs_diff(index % row_length) <= 2
+                };
+                let near: Vec<_> = (0..numbers.len()).filter(|&at| is_near(at)).map(|at| numbers[at]).collect();
+                let expected = near.iter().sum::<f64>() / near.len() as f64;
+                assert_eq!(mean_around(&numbers, row_length, index), expected, "{row_length}x{n_rows}: {index}");
+            }
         }
-        // A grain of single pixels is not seen, one of larger squares is.
-        let pattern = |side: usize| -> Vec<_> {
-            let sign = |at: usize| if (at % 8 / side + at / 8 / side).is_multiple_of(2) { 6 } else { -6 };
-            (0..64).map(|at| [sign(at); 3]).collect()
-        };
-        assert_eq!(of_differences(&pattern(1), 8), 0.0);
-        let coarse = of_differences(&pattern(4), 8);
-        assert!((6.0..9.0).contains(&coarse), "{coarse}");
     }
 }

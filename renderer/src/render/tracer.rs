@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_stop_at_the_same_sample_in_every_division() {
+    fn pixels_stop_at_the_same_sample_in_every_division() {
         let scene = Scene::build(statue::generate(3000, &|_| ()), &GridOptions::default(), &|_| ());
         let camera = Camera::look_at(DVec3::new(0.6, 1.5, 2.5), DVec3::Y, DVec3::Y, 0.5, 2.0).unwrap();
         let with = |noise: &str| {
@@ -294,8 +294,8 @@ mod tests {
             FrameSpec { camera, rays: LightingMode::Path, samples, ..spec(0, 1) }
         };
         let [all, some] = ["0", "4"].map(|noise| check_divisions(&scene, &with(noise)));
-        assert_ne!(all, some, "no tile stops early");
-        assert_eq!(all, check_divisions(&scene, &with("0.01")), "tiles stop for no reason");
+        assert_ne!(all, some, "no pixel stops early");
+        assert_eq!(all, check_divisions(&scene, &with("0.01")), "pixels stop for no reason");
     }
 
     #[test]

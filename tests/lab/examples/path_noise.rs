@@ -1,12 +1,13 @@
-//! Compares pictures whose tiles stop at a noise with pictures whose pixels all get equally many samples.
+//! Compares pictures whose pixels stop at a noise with pictures whose pixels all get equally many samples.
 //!
 //!     cargo run --release -p lab --example path_noise -- --model dragon.ply --rays path
 //!
 //! Both are compared with a picture of other samples. Errors are roots of mean squares over the pixels that show the model: of
 //! the light that a display shows, in levels of 255, and of linear light before exposure and tone mapping, in thousandths.
 //! Parts are those of the samples that a uniform picture of the same error takes, which is interpolated: for the whole
-//! picture, and for the pixels that show the model alone. The least part is that of samples in proportion to each tile's error,
-//! which nobody knows beforehand, where the square of the error falls as the number of samples rises.
+//! picture, the same of its rays, and for the pixels that show the model alone. The least part is that of samples in proportion
+//! to the standard deviation of each pixel, or square of pixels, which nobody knows beforehand, where the square of the error
+//! falls as the number of samples rises.
 
 use clap::Parser;
 use glam::Vec3;
@@ -20,7 +21,7 @@ use renderer::{
     },
 };
 use shared::{
-    division::{Division, FrameSize},
+    division::FrameSize,
     noise::NoiseLimit,
     protocol::{FrameSpec, SampleRange},
 };
@@ -42,6 +43,10 @@ struct Args {
     /// Samples of each pixel of the reference
     #[arg(long, default_value_t = 1024)]
     reference: u32,
+
+    /// Rays of a path that meets the model; others are one ray each
+    #[arg(long, default_value_t = 3.4)]
+    rays_of_path: f64,
 }
 
 /// A picture's pixels: light as a display shows it in levels, linear light in thousandths, and the number of samples.
@@ -50,12 +55,18 @@ struct Picture {
     cpu_s: f64,
 }
 
-/// Of a picture: samples of a pixel and of one that shows the model, the errors, and of a uniform picture's samples the least
-/// part with which tiles of any numbers have its errors.
+/// Of a picture: samples of a pixel, the same weighed by their rays, samples of a pixel that shows the model, and the errors.
 struct Outcome {
-    n_samples: [f64; 2],
+    n_samples: [f64; 3],
     errors: [f64; 2],
-    least_parts: [f64; 2],
+}
+
+/// The mean of independent pictures, and the squares of each pixel's deviations from it, summed over channels and pictures.
+#[derive(Default)]
+struct Reference {
+    means: Vec<[Vec3; 2]>,
+    squares: Vec<[f64; 2]>,
+    n_pictures: u32,
 }
 
 fn main() -> anyhow::Result<()> {
@@ -70,85 +81,104 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let scene = args.picture.build(mesh);
     let render = |samples: SampleRange| render(&scene, &FrameSpec { samples, ..spec });
 
-    let reference = mean_of(args.reference, render);
+    let reference = reference(args.reference, render);
     // Pixels without noise are background.
     let first = render(SampleRange::CENTRE).pixels;
-    let is_seen: Vec<bool> = first.iter().zip(&reference).map(|((light, _), mean)| light != mean).collect();
+    let is_seen: Vec<bool> = first.iter().zip(&reference.means).map(|((light, _), mean)| light != mean).collect();
     let n_seen = is_seen.iter().filter(|&&is_seen| is_seen).count() as f64;
+    let rays: Vec<f64> = is_seen.iter().map(|&is_seen| if is_seen { args.rays_of_path } else { 1.0 }).collect();
     let outcome = |Picture { pixels, .. }: &Picture| {
-        let seen =
-            || pixels.iter().zip(&reference).zip(&is_seen).filter(|(_, is_seen)| **is_seen).map(|(pixel, _)| pixel);
+        let of_seen = pixels.iter().zip(&reference.means).zip(&is_seen).filter(|(_, is_seen)| **is_seen);
+        let seen: Vec<_> = of_seen.map(|(pixel, _)| pixel).collect();
         let error = |kind: usize| {
-            let squares = seen().map(|((light, _), mean)| f64::from((light[kind] - mean[kind]).length_squared()));
+            let squares = seen.iter().map(|((light, _), mean)| f64::from((light[kind] - mean[kind]).length_squared()));
             (squares.sum::<f64>() / (3.0 * n_seen)).sqrt()
         };
-        let of_seen = seen().map(|((_, n), _)| f64::from(*n)).sum::<f64>() / n_seen;
+        let of_seen = seen.iter().map(|((_, n), _)| f64::from(*n)).sum::<f64>() / n_seen;
         let of_all = pixels.iter().map(|&(_, n)| f64::from(n)).sum::<f64>() / pixels.len() as f64;
-        Outcome {
-            n_samples: [of_all, of_seen],
-            errors: [error(0), error(1)],
-            least_parts: [0, 1].map(|kind| least_part(pixels, &reference, kind, spec.size)),
-        }
+        let of_rays = pixels.iter().zip(&rays).map(|(&(_, n), rays)| f64::from(n) * rays).sum::<f64>();
+        Outcome { n_samples: [of_all, of_rays / rays.iter().sum::<f64>(), of_seen], errors: [error(0), error(1)] }
     };
 
-    println!("{:.1} % of the pixels show the model", 100.0 * n_seen / reference.len() as f64);
-    println!(
-        "uniform: samples, error shown, error of linear light, s of CPU time, least parts shown and of linear light"
-    );
+    println!("{:.1} % of the pixels show the model", 100.0 * n_seen / is_seen.len() as f64);
+    if reference.n_pictures > 1 {
+        println!("least parts of samples shown and of linear light, and of rays, for squares of so many pixels a side");
+        for side in [1, 2, 4, 8] {
+            let [[shown, shown_rays], [linear, linear_rays]] =
+                [0, 1].map(|kind| reference.least_parts(kind, side, spec.size, &rays));
+            println!("  {side:8} {shown:8.2} {linear:8.2} {shown_rays:8.2} {linear_rays:8.2}");
+        }
+    }
+    println!("uniform: samples, error shown, error of linear light, s of CPU time");
     let mut uniform = Vec::new();
     for &count in &args.uniform {
         let picture = render(SampleRange::all(0, count));
         let outcome = outcome(&picture);
-        let ([shown, linear], least) = (outcome.errors, outcome.least_parts);
-        let cpu_s = picture.cpu_s;
-        println!("  {count:8} {shown:8.3} {linear:8.3} {cpu_s:8.2} {:8.2} {:8.2}", least[0], least[1]);
+        let [shown, linear] = outcome.errors;
+        println!("  {count:8} {shown:8.3} {linear:8.3} {:8.2}", picture.cpu_s);
         uniform.push(outcome);
     }
     println!(
         "adaptive: limit, samples of a pixel, of one that shows the model, error shown, error of linear light, s of CPU time, \
-         parts of the whole picture at equal error shown and of linear light, parts of the model"
+         parts of the whole picture at equal error shown and of linear light, of its rays, of the model"
     );
     for &noise in &args.noise {
         let picture = render(SampleRange { noise, ..SampleRange::all(0, SampleRange::LARGEST_COUNT) });
-        let Outcome { n_samples, errors, .. } = outcome(&picture);
-        let [all, seen] = n_samples.map(|n| [0, 1].map(|kind| n / uniform_of(&uniform, kind, errors[kind])));
-        println!(
-            "  {noise:8} {:8.1} {:8.1} {:8.3} {:8.3} {:8.2} {:8.2} {:8.2} {:8.2} {:8.2}",
-            n_samples[0], n_samples[1], errors[0], errors[1], picture.cpu_s, all[0], all[1], seen[0], seen[1]
+        let Outcome { n_samples, errors } = outcome(&picture);
+        print!(
+            "  {noise:8} {:8.1} {:8.1} {:8.3} {:8.3} {:8.2}",
+            n_samples[0], n_samples[2], errors[0], errors[1], picture.cpu_s
         );
+        let parts = n_samples.map(|n| [0, 1].map(|kind| n / uniform_of(&uniform, kind, errors[kind])));
+        parts.as_flattened().iter().for_each(|part| print!(" {part:8.2}"));
+        println!();
     }
     Ok(())
 }
 
 /// The mean light of pictures of other samples, of several frames, as these have a limited number.
-fn mean_of(n_samples: u32, render: impl Fn(SampleRange) -> Picture) -> Vec<[Vec3; 2]> {
+fn reference(n_samples: u32, render: impl Fn(SampleRange) -> Picture) -> Reference {
     let count = n_samples.min(SampleRange::LARGEST_COUNT);
-    let n_frames = n_samples.div_ceil(count);
-    let pictures = (0..n_frames).map(|frame| render(SampleRange::all(first_sample(0, frame, count), count)).pixels);
-    let add = |mut sums: Vec<([Vec3; 2], u32)>, pixels: Vec<([Vec3; 2], u32)>| {
-        sums.iter_mut().zip(pixels).for_each(|((sum, _), (light, _))| (0..2).for_each(|kind| sum[kind] += light[kind]));
-        sums
-    };
-    let sums = pictures.reduce(add).unwrap_or_default();
-    sums.into_iter().map(|(sum, _)| sum.map(|sum| sum / n_frames as f32)).collect()
+    let mut reference = Reference::default();
+    for frame in 0..n_samples.div_ceil(count) {
+        reference.add(&render(SampleRange::all(first_sample(0, frame, count), count)));
+    }
+    reference
 }
 
-/// The part of a uniform picture's samples that it takes, for the same error, if each tile's are in proportion to its own error.
-fn least_part(pixels: &[([Vec3; 2], u32)], reference: &[[Vec3; 2]], kind: usize, size: FrameSize) -> f64 {
-    let (mut sum, mut sum_of_squares) = (0.0, 0.0);
-    let tiles = Division::Tiled.task(0, 1).share(size).expect("one machine renders any frame");
-    for tile in 0..tiles.count() {
-        let samples = tiles.samples(tile);
-        let squared_error = |(i, j): (u32, u32)| {
-            let at = (j * size.xres() + i) as usize;
-            f64::from((pixels[at].0[kind] - reference[at][kind]).length_squared())
-        };
-        let n = f64::from(samples.count());
-        let of_tile = samples.iter().map(squared_error).sum::<f64>();
-        sum += (n * of_tile).sqrt();
-        sum_of_squares += of_tile;
+impl Reference {
+    /// Adds a picture: Welford, "Note on a Method for Calculating Corrected Sums of Squares and Products" (1962).
+    fn add(&mut self, picture: &Picture) {
+        self.n_pictures += 1;
+        self.means.resize(picture.pixels.len(), [Vec3::ZERO; 2]);
+        self.squares.resize(picture.pixels.len(), [0.0; 2]);
+        for ((mean, squares), (light, _)) in self.means.iter_mut().zip(&mut self.squares).zip(&picture.pixels) {
+            for kind in 0..2 {
+                let difference = light[kind] - mean[kind];
+                mean[kind] += difference / self.n_pictures as f32;
+                squares[kind] += f64::from(difference.dot(light[kind] - mean[kind]));
+            }
+        }
     }
-    sum * sum / (f64::from(size.n_samples()) * sum_of_squares)
+
+    /// The parts of a uniform picture's samples, and of its rays, that a picture of the same error takes, if the samples of each
+    /// square of pixels are in proportion to its standard deviation.
+    fn least_parts(&self, kind: usize, side: u32, size: FrameSize, rays: &[f64]) -> [f64; 2] {
+        let (columns, rows) = (size.xres().div_ceil(side), size.yres().div_ceil(side));
+        let mut squares = vec![[0.0; 3]; (columns * rows) as usize];
+        for (at, (squared, rays)) in (0..).zip(self.squares.iter().zip(rays)) {
+            let (i, j) = (at % size.xres(), at / size.xres());
+            let of_square = &mut squares[(j / side * columns + i / side) as usize];
+            [squared[kind], 1.0, *rays].iter().zip(of_square).for_each(|(it, sum)| *sum += it);
+        }
+        let sum = |of: &dyn Fn(&[f64; 3]) -> f64| squares.iter().map(of).sum::<f64>();
+        // The root of an estimated variance is too small, by a part of a quarter over its degrees of freedom.
+        let too_small = 1.0 - 0.25 / f64::from((self.n_pictures - 1) * side * side);
+        [1, 2].map(|cost| {
+            let roots = sum(&|square| (square[0] * square[cost]).sqrt()) / too_small;
+            roots * roots / (sum(&|square| square[0]) * sum(&|square| square[cost]))
+        })
+    }
 }
 
 /// Samples of each pixel of a uniform picture with this error, between those that were measured or beyond the last.

@@ -33,7 +33,7 @@ pub(super) struct Settings {
     pub(super) samples: Vec<u32>,
     /// Paths a pixel.
     pub(super) paths: Vec<u32>,
-    /// Where tiles of adaptive pictures stop.
+    /// Where pixels of adaptive pictures stop.
     pub(super) noise: Vec<NoiseLimit>,
 }
 
@@ -54,7 +54,7 @@ impl Settings {
 pub(super) struct LightRow {
     camera: String,
     rays: String,
-    /// Samples a pixel, or the noise in levels at which tiles stop.
+    /// Samples a pixel, or the noise in levels at which pixels stop.
     setting: String,
     /// Samples of the mean pixel.
     samples: f64,
@@ -188,7 +188,7 @@ fn plot(rows: &[LightRow], title: &'static str, value: impl Fn(&LightRow) -> f64
         Series { name: name.to_owned(), color, mark: Mark::Disc, is_joined: true, points }
     });
     Plot {
-        title: "labels: samples a pixel, or the noise at which tiles stop".to_owned(),
+        title: "labels: samples a pixel, or the noise at which pixels stop".to_owned(),
         x: Axis { title: "CPU seconds per picture", label: significant, range: None },
         y: Axis { title, label: significant, range: None },
         series: series.chain(of_peers).collect(),
