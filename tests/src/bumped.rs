@@ -249,6 +249,63 @@ fn after_a_bump_curved_and_folded_walls_and_domes_are_aligned_again() {
     }
 }
 
+/// How far the worst projector is off throughout: half of the parts of its picture are nearer to where they should be.
+fn off_px(verdict: &Verdict) -> f64 {
+    let of_projector = |misses: &[[DVec2; 2]]| {
+        let mut all: Vec<f64> = misses.iter().map(|[_, by]| by.length()).collect();
+        all.sort_by(f64::total_cmp);
+        all.get(all.len() / 2).copied().unwrap_or_default()
+    };
+    verdict.projectors.iter().map(|finding| of_projector(&finding.misses)).fold(0.0, f64::max)
+}
+
+#[test]
+fn photographs_of_another_wall_are_refused_and_those_of_a_phone_are_not() {
+    let cylinder = "[surface.cylinder]\nradius_m = 2.0\nat_m = 1.5707963267948966\n";
+    let dome = "[surface.dome]\nradius_m = 2.2\nat_m = [1.5, 0.375]\n";
+    let middle = DVec2::new(1.5, 0.375);
+    let round = |radius: f64| Surface::Dome { middle, radius, by_longitude: false };
+    let on = |surface: Surface, askew: f64| Rig::on(surface, [3.0, 0.75], 3, [384, 288], askew, ["", HUNG]);
+    let mut others = [
+        ("flat", on(Surface::Flat, 0.01)),
+        ("cylinder", bent::cylinder([384, 288], ["", HUNG])),
+        ("wider cylinder", on(Surface::Cylinder { middle: 1.5, radius: 2.6 }, 0.01)),
+        ("fold", bent::fold([384, 288], ["", HUNG])),
+        ("dome", on(round(2.2), 0.01)),
+        ("wider dome", on(round(3.0), 0.01)),
+        ("other projectors", on(round(2.2), 0.02)),
+    ];
+    for (name, rig) in [
+        ("cylinder", bent::cylinder([384, 288], [cylinder, HUNG])),
+        ("dome", bent::dome(false, [384, 288], [dome, HUNG])),
+    ] {
+        let mut it = Bent::new(rig, [33, 25]);
+        let all: Vec<u32> = (0..it.plan.n_patterns()).collect();
+        it.camera = Camera { jpeg: Some(85), noise: 0.06, blur_px: 0.9, ..it.camera.clone() };
+        let right = it.again(&all);
+        println!("{name} by a phone: {:.3} pixels off throughout", off_px(&right));
+        assert!(right.faults.is_empty() && off_px(&right) < 0.05, "{name}: {:?}", right.faults);
+        for (other, rig) in &mut others {
+            if *other == name {
+                continue;
+            }
+            for aside in [-0.2, 0.5] {
+                let target = rig.wall.canvas_m()[0] / 2.0;
+                let camera =
+                    rig.camera([1700, 1200], DVec3::new(target + aside, 0.45, 2.5), DVec2::new(target, 0.37), 0.7);
+                let readings: Vec<Reading> = all.iter().map(|pattern| read(rig, &it.plan, &camera, *pattern)).collect();
+                let one = &readings[it.plan.whole_in(1) as usize..][..1];
+                for readings in [&readings[..], one] {
+                    let verdict = judge_again(&it.rig.wall, &it.plan, readings);
+                    let what = format!("{name} by {} photographs of {other}", readings.len());
+                    println!("{what}: {:.3} pixels off throughout", off_px(&verdict));
+                    assert!(!verdict.faults.is_empty(), "{what}: {:?}", verdict.found);
+                }
+            }
+        }
+    }
+}
+
 #[test]
 fn on_a_cylinder_a_second_projector_that_moved_is_found_too_and_too_many_are_refused() {
     let width_m = PI;

@@ -286,6 +286,12 @@ impl BentSolution {
         self.bundle.projections[projector].is_some()
     }
 
+    /// How far crossings are off on average, in pixels; none counts as more than one pixel.
+    pub(super) fn left_over_px(&self) -> f64 {
+        let all = || self.misses.iter().flatten().map(|[_, by]| by.length().min(1.0));
+        all().sum::<f64>() / all().count() as f64
+    }
+
     /// How well a projector fits.
     pub(super) fn fit(&self, projector: usize) -> Fit {
         self.fits[projector]
