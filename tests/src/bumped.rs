@@ -164,6 +164,12 @@ fn the_program_aligns_again_draws_a_report_and_says_when_it_cannot() {
     let (code, said) = run(&["--again"]);
     assert!(code == Some(0) && said.contains("no projector has moved"), "{said}");
     assert_eq!(fs::read_to_string(&file).unwrap(), before);
+    // A close-up without the right column: projectors were found, but none can be written.
+    let close_up = it.rig.camera([1500, 1500], DVec3::new(0.9, 1.1, 2.3), DVec2::new(0.85, 1.1), 0.95);
+    fs::write(photos.join("one.png"), close_up.photograph(&it.rig.projectors, None, 7)).unwrap();
+    let (code, said) = run(&["--again"]);
+    assert!(code == Some(1) && said.contains("seen too little to tell"), "{said}");
+    assert!(said.contains("nothing of this can be written") && !said.contains("nothing was found"), "{said}");
     fs::write(&file, "canvas_m = [2.0, 0.75]\n[grid]\ncolumns = 2\nrows = 1\npixels = [256, 192]\n").unwrap();
     let (code, said) = run(&["--again"]);
     assert!(code == Some(1) && said.contains("the file has no corners yet"), "{said}");
@@ -272,7 +278,6 @@ fn photographs_of_another_wall_are_refused_and_those_of_a_phone_are_not() {
         ("wider cylinder", on(Surface::Cylinder { middle: 1.5, radius: 2.6 }, 0.01)),
         ("fold", bent::fold([384, 288], ["", HUNG])),
         ("dome", on(round(2.2), 0.01)),
-        ("wider dome", on(round(3.0), 0.01)),
         ("other projectors", on(round(2.2), 0.02)),
     ];
     for (name, rig) in [
@@ -289,19 +294,12 @@ fn photographs_of_another_wall_are_refused_and_those_of_a_phone_are_not() {
             if *other == name {
                 continue;
             }
-            for aside in [-0.2, 0.5] {
-                let target = rig.wall.canvas_m()[0] / 2.0;
-                let camera =
-                    rig.camera([1700, 1200], DVec3::new(target + aside, 0.45, 2.5), DVec2::new(target, 0.37), 0.7);
-                let readings: Vec<Reading> = all.iter().map(|pattern| read(rig, &it.plan, &camera, *pattern)).collect();
-                let one = &readings[it.plan.whole_in(1) as usize..][..1];
-                for readings in [&readings[..], one] {
-                    let verdict = judge_again(&it.rig.wall, &it.plan, readings);
-                    let what = format!("{name} by {} photographs of {other}", readings.len());
-                    println!("{what}: {:.3} pixels off throughout", off_px(&verdict));
-                    assert!(!verdict.faults.is_empty(), "{what}: {:?}", verdict.found);
-                }
-            }
+            let target = rig.wall.canvas_m()[0] / 2.0;
+            let camera = rig.camera([1400, 1000], DVec3::new(target - 0.2, 0.45, 2.5), DVec2::new(target, 0.37), 0.7);
+            let readings: Vec<Reading> = all.iter().map(|pattern| read(rig, &it.plan, &camera, *pattern)).collect();
+            let verdict = judge_again(&it.rig.wall, &it.plan, &readings);
+            println!("{name} by photographs of {other}: {:.3} pixels off throughout", off_px(&verdict));
+            assert!(!verdict.faults.is_empty(), "{name} by {other}: {:?}", verdict.found);
         }
     }
 }

@@ -212,6 +212,24 @@ fn projectors_that_meet_without_an_overlap_make_one_canvas() {
 }
 
 #[test]
+fn what_an_import_guesses_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let text = "canvas_m = [6.0, 1.5]\n[grid]\ncolumns = 2\nrows = 1\npixels = [160, 120]\noverlap = [0.1, 0.1]\n";
+    fs::write(path("ours.toml"), text).unwrap();
+    let (code, said) = run(&["export", &path("ours.toml"), &path("ours.mpcdi"), "--profile", "a3"]);
+    assert_eq!(code, Some(0), "{said}");
+    let (code, said) = run(&["import", &path("ours.mpcdi"), &path("theirs.toml")]);
+    assert!(code == Some(0) && said.contains("set \"srgb\" for those") && !said.contains("is a guess"), "{said}");
+    let Some(_) = python(&["strip", &path("ours.mpcdi"), &path("plain.mpcdi")]) else { return };
+    let (code, said) = run(&["import", &path("plain.mpcdi"), &path("plain.toml")]);
+    assert!(code == Some(0) && said.contains("no unit that is known, so its width is a guess"), "{said}");
+    assert!(said.contains("gamma is \"srgb\", as the file says none") && !said.contains("set \"srgb\""), "{said}");
+    let (code, said) = run(&["import", &path("plain.mpcdi"), &path("sized.toml"), "--width", "6"]);
+    assert!(code == Some(0) && !said.contains("is a guess"), "{said}");
+}
+
+#[test]
 fn coarse_projectors_of_a_flat_wall_go_round_and_round() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();

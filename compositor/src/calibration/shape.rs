@@ -7,7 +7,9 @@
 
 use glam::{DVec2, DVec3};
 
-use super::{bent::BentSolution, bent_verdict::solved, fitting::median, solve::Shot, unroll::place_in_file};
+use super::{
+    bent::BentSolution, bent_verdict::solved, fitting::median, noise::noise_px, solve::Shot, unroll::place_in_file,
+};
 use crate::wall::{Surface, Wall};
 
 /// Projectors may light this many times as much of the wall, by length, as the file's layout says, or as little.
@@ -24,8 +26,12 @@ const TELLING: f64 = 1.3;
 const FAR_ANGLE: f64 = 10.0;
 /// Angles of folds that are tried, in degrees.
 const ANGLES: [f64; 2] = [60.0, 175.0];
-/// Points of a sighting by which angles are tried.
-const FEW: usize = 50;
+/// What is left over is noise up to so many times that of crossings.
+const NOISE: f64 = 2.0;
+/// Points by which angles are tried, if many sightings have these few, or few so many.
+const FEW: usize = 3000;
+/// See [`FEW`].
+const FEW_OF_SIGHTING: [usize; 2] = [12, 50];
 /// The part of the canvas that must be lit, of what the file's layout lights.
 const LEAST_LIT: f64 = 0.9;
 /// Points of the canvas each way at which the layout is tried.
@@ -48,13 +54,15 @@ pub(super) fn evidence(wall: &Wall, surface: Surface, solution: &BentSolution, s
             Evidence { faults, remarks: Vec::new() }
         }
         Surface::Fold { at_m, angle } => {
-            let few: Vec<Shot> = shots.iter().map(|shot| shot.thinned(FEW)).collect();
+            let n_sightings = shots.iter().map(|shot| shot.sightings.len()).sum::<usize>();
+            let n_each = (FEW / n_sightings.max(1)).clamp(FEW_OF_SIGHTING[0], FEW_OF_SIGHTING[1]);
+            let few: Vec<Shot> = shots.iter().map(|shot| shot.thinned(n_each)).collect();
             let left_over = |angle: f64| {
                 let free = vec![false; wall.projectors().len()];
                 let solution = solved(wall, Surface::Fold { at_m, angle }, &few, &free);
-                solution.map_or(f64::INFINITY, |it| it.left_over_px())
+                solution.map_or(f64::INFINITY, |it| it.left_over_px(&few))
             };
-            let mut evidence = angle_evidence(angle, &left_over);
+            let mut evidence = angle_evidence(angle, noise_px(shots), &left_over);
             evidence.faults.extend(edge_fault(at_m, wall.canvas_m()[0], edge(wall, at_m, solution)));
             evidence
         }
@@ -116,8 +124,8 @@ fn size_fault(radius_m: f64, size: f64) -> Option<String> {
 }
 
 /// The angle that leaves least over against that in the file: the best of many, since far from it there are other valleys,
-/// from which ever smaller steps lead downhill.
-fn angle_evidence(angle: f64, left_over: &dyn Fn(f64) -> f64) -> Evidence {
+/// from which ever smaller steps lead downhill. An angle by which noise is left over is in the right valley.
+fn angle_evidence(angle: f64, noise_px: f64, left_over: &dyn Fn(f64) -> f64) -> Evidence {
     let here = left_over(angle);
     let lowest = |angles: &mut dyn Iterator<Item = f64>| {
         let tries = angles.filter(|it| (ANGLES[0]..=ANGLES[1]).contains(it)).map(|it| (it, left_over(it)));
@@ -125,7 +133,11 @@ fn angle_evidence(angle: f64, left_over: &dyn Fn(f64) -> f64) -> Evidence {
     };
     let n_away = ((ANGLES[1] - ANGLES[0]) / FAR_ANGLE) as i32;
     let far = (-n_away..=n_away).filter(|n| *n != 0).map(|n| angle + FAR_ANGLE * f64::from(n));
-    let (mut best, mut least) = lowest(&mut { far }).filter(|it| it.1 < here).unwrap_or((angle, here));
+    let (mut best, mut least) = if here < NOISE * noise_px {
+        (angle, here)
+    } else {
+        lowest(&mut { far }).filter(|it| it.1 < here).unwrap_or((angle, here))
+    };
     let mut step = FAR_ANGLE / 2.0;
     while step > NEAR_ANGLE / 4.0 {
         let next = lowest(&mut [best - step, best + step].into_iter());
@@ -198,17 +210,17 @@ mod tests {
     #[test]
     fn the_angle_that_leaves_least_over_is_named_if_photographs_tell_it() {
         let bowl = |at: f64| move |angle: f64| 0.03 + 0.02 * (angle - at).abs();
-        let of = |angle: f64, at: f64| angle_evidence(angle, &bowl(at));
+        let of = |angle: f64, at: f64| angle_evidence(angle, 0.03, &bowl(at));
         assert_eq!(of(120.0, 120.4), Evidence::default());
         for angle in [100.0, 135.0, 165.0] {
             let Evidence { faults, remarks } = of(angle, 120.4);
             assert!(remarks.is_empty() && faults.len() == 1 && faults[0].contains("set angle = 120"), "{faults:?}");
         }
         // Any angle fits.
-        let Evidence { faults, remarks } = angle_evidence(100.0, &|angle| 0.03 + 1e-4 * (angle - 120.0).abs());
+        let Evidence { faults, remarks } = angle_evidence(100.0, 0.03, &|angle| 0.03 + 1e-4 * (angle - 120.0).abs());
         assert!(faults.is_empty() && remarks[0].contains("do not tell the angle"), "{faults:?}");
         // Nothing fits.
-        let Evidence { faults, .. } = angle_evidence(100.0, &|_| f64::INFINITY);
+        let Evidence { faults, .. } = angle_evidence(100.0, 0.03, &|_| f64::INFINITY);
         assert!(faults.is_empty());
     }
 
