@@ -3,10 +3,11 @@
 //! In reading order: [`pattern`] is what projectors show, [`photograph`] what a camera sees of it; `crossing` finds the
 //! crossings of checkerboards, `lattice` puts them together, and [`identify`] says which projector shows them; [`solve`]
 //! works out where projectors' pixels lie, with the camera's [`lens`], and `adjust` refines it; [`place`] lays the canvas
-//! there. On a wall that is not flat `bent` solves, `bundle` refines, and `unroll` lays the canvas there and makes meshes.
+//! there. On a wall that is not flat `bent` solves, `bundle` refines, `unroll` lays the canvas there and makes
+//! meshes, and `shape` says whether the wall has the shape of its file.
 //! [`verdict`] says which projectors were found, and whether to believe it, with a [`finding`] on each; `again` aligns a
 //! wall again after a bump, `bent_again` one that is not flat. [`light`] finds projectors' light in the same way.
-//! `fitting` has what several of these compute.
+//! `noise` measures the noise of crossings, and `fitting` has what several of these compute.
 
 mod adjust;
 mod again;
@@ -21,9 +22,11 @@ pub mod identify;
 mod lattice;
 pub mod lens;
 pub mod light;
+mod noise;
 pub mod pattern;
 pub mod photograph;
 pub mod place;
+mod shape;
 pub mod solve;
 mod unroll;
 pub mod verdict;

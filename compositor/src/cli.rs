@@ -19,6 +19,11 @@ use std::path::Path;
 
 /// Refuses to write over a file that is there; the message names the cure.
 fn ensure_new(path: &Path, cure: &str) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        !path.exists() || path.is_file() || path.is_dir(),
+        "{} is no ordinary file, and this writes only new ones: {cure}",
+        path.display()
+    );
     anyhow::ensure!(!path.exists(), "{} is there already: {cure}, or remove it", path.display());
     Ok(())
 }

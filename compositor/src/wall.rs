@@ -58,7 +58,7 @@ pub enum OnLoss {
 #[derive(Debug, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum WallError {
-    #[error("{path}: {cause}: --wall takes a file like those in wall-config/")]
+    #[error("{path}: {cause}: a wall file is like those in wall-config/")]
     Unreadable { path: String, cause: ReadError },
     #[error("{path}:{line}: {problem}")]
     Invalid { path: String, line: usize, problem: String },

@@ -164,6 +164,12 @@ fn the_program_aligns_again_draws_a_report_and_says_when_it_cannot() {
     let (code, said) = run(&["--again"]);
     assert!(code == Some(0) && said.contains("no projector has moved"), "{said}");
     assert_eq!(fs::read_to_string(&file).unwrap(), before);
+    // A close-up without the right column: projectors were found, but none can be written.
+    let close_up = it.rig.camera([1500, 1500], DVec3::new(0.9, 1.1, 2.3), DVec2::new(0.85, 1.1), 0.95);
+    fs::write(photos.join("one.png"), close_up.photograph(&it.rig.projectors, None, 7)).unwrap();
+    let (code, said) = run(&["--again"]);
+    assert!(code == Some(1) && said.contains("seen too little to tell"), "{said}");
+    assert!(said.contains("nothing of this can be written") && !said.contains("nothing was found"), "{said}");
     fs::write(&file, "canvas_m = [2.0, 0.75]\n[grid]\ncolumns = 2\nrows = 1\npixels = [256, 192]\n").unwrap();
     let (code, said) = run(&["--again"]);
     assert!(code == Some(1) && said.contains("the file has no corners yet"), "{said}");
@@ -246,6 +252,55 @@ fn after_a_bump_curved_and_folded_walls_and_domes_are_aligned_again() {
         let Verdict { wall, found, faults, .. } = it.again(&(0..it.plan.n_patterns()).collect::<Vec<_>>());
         assert!(wall.is_none() && faults.is_empty(), "{name}: {faults:?}");
         assert!(found.iter().any(|line| line.contains("no projector has moved")), "{found:?}");
+    }
+}
+
+/// How far the worst projector is off throughout: half of the parts of its picture are nearer to where they should be.
+fn off_px(verdict: &Verdict) -> f64 {
+    let of_projector = |misses: &[[DVec2; 2]]| {
+        let mut all: Vec<f64> = misses.iter().map(|[_, by]| by.length()).collect();
+        all.sort_by(f64::total_cmp);
+        all.get(all.len() / 2).copied().unwrap_or_default()
+    };
+    verdict.projectors.iter().map(|finding| of_projector(&finding.misses)).fold(0.0, f64::max)
+}
+
+#[test]
+fn photographs_of_another_wall_are_refused_and_those_of_a_phone_are_not() {
+    let cylinder = "[surface.cylinder]\nradius_m = 2.0\nat_m = 1.5707963267948966\n";
+    let dome = "[surface.dome]\nradius_m = 2.2\nat_m = [1.5, 0.375]\n";
+    let middle = DVec2::new(1.5, 0.375);
+    let round = |radius: f64| Surface::Dome { middle, radius, by_longitude: false };
+    let on = |surface: Surface, askew: f64| Rig::on(surface, [3.0, 0.75], 3, [384, 288], askew, ["", HUNG]);
+    let mut others = [
+        ("flat", on(Surface::Flat, 0.01)),
+        ("cylinder", bent::cylinder([384, 288], ["", HUNG])),
+        ("wider cylinder", on(Surface::Cylinder { middle: 1.5, radius: 2.6 }, 0.01)),
+        ("fold", bent::fold([384, 288], ["", HUNG])),
+        ("dome", on(round(2.2), 0.01)),
+        ("other projectors", on(round(2.2), 0.02)),
+    ];
+    for (name, rig) in [
+        ("cylinder", bent::cylinder([384, 288], [cylinder, HUNG])),
+        ("dome", bent::dome(false, [384, 288], [dome, HUNG])),
+    ] {
+        let mut it = Bent::new(rig, [33, 25]);
+        let all: Vec<u32> = (0..it.plan.n_patterns()).collect();
+        it.camera = Camera { jpeg: Some(85), noise: 0.06, blur_px: 0.9, ..it.camera.clone() };
+        let right = it.again(&all);
+        println!("{name} by a phone: {:.3} pixels off throughout", off_px(&right));
+        assert!(right.faults.is_empty() && off_px(&right) < 0.05, "{name}: {:?}", right.faults);
+        for (other, rig) in &mut others {
+            if *other == name {
+                continue;
+            }
+            let target = rig.wall.canvas_m()[0] / 2.0;
+            let camera = rig.camera([1400, 1000], DVec3::new(target - 0.2, 0.45, 2.5), DVec2::new(target, 0.37), 0.7);
+            let readings: Vec<Reading> = all.iter().map(|pattern| read(rig, &it.plan, &camera, *pattern)).collect();
+            let verdict = judge_again(&it.rig.wall, &it.plan, &readings);
+            println!("{name} by photographs of {other}: {:.3} pixels off throughout", off_px(&verdict));
+            assert!(!verdict.faults.is_empty(), "{name} by {other}: {:?}", verdict.found);
+        }
     }
 }
 

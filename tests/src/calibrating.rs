@@ -1,10 +1,10 @@
 //! Aligning a wall with a camera, in the virtual room and by the program.
 
-use std::{fs, sync::OnceLock};
+use std::{f64::consts::PI, fs, sync::OnceLock};
 
 use compositor::{
     calibration::{Codebook, Placement, Plan, Reading, Verdict, judge},
-    wall::Wall,
+    wall::{Surface, Unrolling, Wall},
 };
 use glam::{DVec2, DVec3};
 
@@ -236,6 +236,45 @@ fn a_cylinder_a_fold_and_domes_are_aligned_from_a_phone_s_photographs() {
             let (a, b) = (a.mesh.as_ref().unwrap(), b.mesh.as_ref().unwrap());
             let moved = a.points().zip(b.points()).map(|(a, b)| a.distance(b)).fold(0.0, f64::max);
             assert!(moved < 1e-3, "{name}: {moved}");
+        }
+    }
+}
+
+#[test]
+fn a_wrong_radius_angle_or_edge_is_refused_with_the_value_that_fits() {
+    let cylinder = |radius_m| Surface::Cylinder { radius_m, at_m: PI / 2.0 };
+    let dome = |radius_m| Surface::Dome { radius_m, at_m: [1.5, 0.375], unrolled: Unrolling::Azimuthal };
+    let fold = |angle| Surface::Fold { at_m: 1.5, angle };
+    // The number after a word of a line.
+    let number = |line: &str, word: &str| -> Option<f64> {
+        line.split_once(word)?.1.split([' ', ':', ';', ',']).next()?.parse().ok()
+    };
+    let of: [(&str, Rig, f64, &dyn Fn(f64) -> Surface, &str, &[f64]); 3] = [
+        ("cylinder", bent::cylinder([512, 384], [CYLINDER, HUNG]), 2.0, &cylinder, "about ", &[1.6, 2.4, 4.0]),
+        ("dome", bent::dome(false, [512, 384], [DOME, HUNG]), 2.2, &dome, "about ", &[1.76, 2.64, 5.0]),
+        ("fold", bent::fold([512, 384], [FOLD, HUNG]), 120.0, &fold, "set angle = ", &[100.0, 112.0, 130.0, 150.0]),
+    ];
+    for (name, mut rig, right, surface, word, wrong) in of {
+        let plan = Plan::of_wall(&rig.wall).unwrap();
+        let readings = by_phone(&mut rig, &plan);
+        let judged = |surface: Surface| judge(&rig.wall.clone().with_surface(Some(surface)), &plan, &readings, None);
+        let Verdict { found, faults, .. } = judged(surface(right));
+        assert!(faults.is_empty() && !found.iter().any(|line| line.contains("do not tell")), "{name}: {faults:?}");
+        for value in wrong {
+            let faults = judged(surface(*value)).faults;
+            let told = faults.iter().find_map(|fault| number(fault, word));
+            println!("{name}: {right} is told as {told:?} where the file says {value}");
+            // A radius follows from the layout, roughly.
+            let most = if name == "fold" { 1.5 } else { 0.12 * right };
+            assert!(told.is_some_and(|told| (told - right).abs() < most), "{name} {value}: {faults:?}");
+        }
+        if name == "fold" {
+            let faults = judged(Surface::Fold { at_m: 1.1, angle: 120.0 }).faults;
+            assert!(faults.iter().any(|fault| fault.contains("at_m = 1.1 does not fit")), "{faults:?}");
+            // From one place, any angle fits.
+            let one: Vec<Reading> = readings[..plan.n_patterns() as usize].to_vec();
+            let Verdict { found, .. } = judge(&rig.wall, &plan, &one, None);
+            assert!(found.iter().any(|line| line.contains("do not tell the angle")), "{found:?}");
         }
     }
 }

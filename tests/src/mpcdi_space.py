@@ -6,6 +6,7 @@
                                         wall at nine pixels of each: column, row, x, y. READING is "standard", or "library" for
                                         the angles of the example in the standard's library, "none" for angles that fit none, or
                                         "holes" for the standard's and a pixel without numbers
+    mpcdi_space.py strip FILE TARGET    writes the file again without alpha maps, and with a unit that nobody knows
 """
 
 import math
@@ -143,5 +144,21 @@ def write(path, reading):
         archive.writestr("mpcdi.xml", xml + "</files></MPCDI>")
 
 
+def strip(path, target):
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in source.namelist():
+            content = source.read(name)
+            if name == "mpcdi.xml":
+                root = tree.fromstring(content)
+                for parent in list(root.iter()):
+                    for child in list(parent):
+                        if child.tag == "alphaMap":
+                            parent.remove(child)
+                for unit in root.iter("geometricUnit"):
+                    unit.text = "parsec"
+                content = tree.tostring(root)
+            archive.writestr(name, content)
+
+
 if __name__ == "__main__":
-    {"read": read, "write": write}[sys.argv[1]](*sys.argv[2:])
+    {"read": read, "write": write, "strip": strip}[sys.argv[1]](*sys.argv[2:])

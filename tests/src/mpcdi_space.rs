@@ -212,6 +212,54 @@ fn projectors_that_meet_without_an_overlap_make_one_canvas() {
 }
 
 #[test]
+fn what_an_import_guesses_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let text = "canvas_m = [6.0, 1.5]\n[grid]\ncolumns = 2\nrows = 1\npixels = [160, 120]\noverlap = [0.1, 0.1]\n";
+    fs::write(path("ours.toml"), text).unwrap();
+    let (code, said) = run(&["export", &path("ours.toml"), &path("ours.mpcdi"), "--profile", "a3"]);
+    assert_eq!(code, Some(0), "{said}");
+    let (code, said) = run(&["import", &path("ours.mpcdi"), &path("theirs.toml")]);
+    assert!(code == Some(0) && said.contains("set \"srgb\" for those") && !said.contains("is a guess"), "{said}");
+    let Some(_) = python(&["strip", &path("ours.mpcdi"), &path("plain.mpcdi")]) else { return };
+    let (code, said) = run(&["import", &path("plain.mpcdi"), &path("plain.toml")]);
+    assert!(code == Some(0) && said.contains("no unit that is known, so its width is a guess"), "{said}");
+    assert!(said.contains("gamma is \"srgb\", as the file says none") && !said.contains("set \"srgb\""), "{said}");
+    let (code, said) = run(&["import", &path("plain.mpcdi"), &path("sized.toml"), "--width", "6"]);
+    assert!(code == Some(0) && !said.contains("is a guess"), "{said}");
+}
+
+#[test]
+fn coarse_projectors_of_a_flat_wall_go_round_and_round() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let text = "canvas_m = [4.0, 1.5]\n[grid]\ncolumns = 2\nrows = 1\npixels = [80, 60]\noverlap = [0.1, 0.1]\n";
+    fs::write(path("0.toml"), text).unwrap();
+    let mut flat: &[&str] = &[];
+    for round in 0..2 {
+        for profile in ["3d", "a3"] {
+            let (wall, mpcdi, next) = (
+                path(&format!("{round}.toml")),
+                path(&format!("{round}-{profile}.mpcdi")),
+                path(&format!("{}.toml", round + 1)),
+            );
+            let (code, said) = run(&[&["export", &wall, &mpcdi, "--profile", profile], flat].concat());
+            assert_eq!(code, Some(0), "{said}");
+            let _ = fs::remove_file(&next);
+            for n in 1..=2 {
+                let _ = fs::remove_file(path(&format!("{}.{n}.pfm", round + 1)));
+            }
+            let (code, said) = run(&["import", &mpcdi, &next, "--width", "4"]);
+            assert_eq!(code, Some(0), "{said}");
+            let [width_m, height_m] = Wall::load(Path::new(&next)).unwrap().canvas_m();
+            assert!((width_m - 4.0).abs() < 1e-9 && (height_m - 1.5).abs() < 0.1, "{width_m} {height_m}");
+        }
+        // The wall has meshes now.
+        flat = &["--flat"];
+    }
+}
+
+#[test]
 fn meshes_without_a_shape_are_exported_as_a_picture_only() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
@@ -219,6 +267,14 @@ fn meshes_without_a_shape_are_exported_as_a_picture_only() {
     for profile in ["3d", "a3"] {
         let (code, said) = run(&["export", &path("ours.toml"), &path("ours.mpcdi"), "--profile", profile]);
         assert!(code == Some(1) && said.contains("add [surface] if it is not flat, or export profile 2d"), "{said}");
+        assert!(said.contains("if it is flat, add --flat"), "{said}");
     }
     assert!(!folder.path().join("ours.mpcdi").exists());
+    let text = fs::read_to_string(path("ours.toml")).unwrap();
+    let surface = "[surface.cylinder]\nradius_m = 2.0\nat_m = 1.5\n[[projector]]";
+    fs::write(path("curved.toml"), text.replacen("[[projector]]", surface, 1)).unwrap();
+    let (code, said) = run(&["export", &path("curved.toml"), &path("ours.mpcdi"), "--profile", "a3", "--flat"]);
+    assert!(code == Some(1) && said.contains("leave out --flat"), "{said}");
+    let (code, said) = run(&["export", &path("curved.toml"), "/dev/stdout"]);
+    assert!(code == Some(1) && said.contains("no ordinary file"), "{said}");
 }

@@ -16,6 +16,7 @@ use super::{
     finding::Finding,
     fitting::{median, quantile, with_unit_depth},
     lens::Lens,
+    noise::noise_px,
     pattern::Plan,
     place::warp_px,
     solve::{Fit, Shot, Solution, solve_from},
@@ -80,7 +81,7 @@ pub fn judge_again(wall: &Wall, plan: &Plan, readings: &[Reading]) -> Verdict {
             all.iter().zip(has_moved).map(|(map, has_moved)| (!has_moved).then_some(*map)).collect();
         solve_from(&known, shots)
     };
-    let limit = limit(&solve(&vec![true; n_projectors], &shots).fits);
+    let limit = limit(noise_px(&shots));
     let tried = |has_moved: &[bool]| {
         let solution = solve(has_moved, &shots);
         let of = |index: usize| match has_moved[index] {
@@ -186,6 +187,9 @@ pub(super) fn judged(
              moved: photograph the whole wall, or align it anew, without --again"
         ));
     }
+    let all_names: Vec<&str> = wall.projectors().iter().map(|projector| projector.name.as_str()).collect();
+    let findings: Vec<&Finding> = outcomes.iter().map(|it| &it.finding).collect();
+    faults.extend(other_wall(&all_names, &findings, noise_px(shots), wall.surface().is_none()));
     let mut unseen = Vec::new();
     for ((index, projector), Outcome { finding, mended }) in wall.projectors().iter().enumerate().zip(outcomes) {
         let name = &projector.name;
@@ -237,10 +241,29 @@ pub(super) fn judged(
     Verdict { wall: new_wall, found, faults, projectors }
 }
 
-/// The distance beyond which a projector has moved, by how well photographs fit projectors that may stand anywhere.
-pub(super) fn limit(free: &[Fit]) -> f64 {
-    let fits = free.iter().filter(|fit| fit.n_points > 0);
-    (USUAL_MOVE * median(fits.map(|fit| fit.median_px).collect())).clamp(LEAST_MOVE_PX, LARGEST_MEDIAN_PX)
+/// The distance beyond which a projector has moved, by the noise of crossings: how well photographs fit projectors that may
+/// stand anywhere would tell nothing if they showed a wall of another shape.
+pub(super) fn limit(noise_px: f64) -> f64 {
+    (USUAL_MOVE * noise_px).clamp(LEAST_MOVE_PX, LARGEST_MEDIAN_PX)
+}
+
+/// A fault if projectors, moved or not, are off by more than noise: single crossings tell noise, and parts of a picture what
+/// all of their crossings have in common.
+fn other_wall(names: &[&str], findings: &[&Finding], noise_px: f64, is_flat: bool) -> Option<String> {
+    let off_px = |finding: &Finding| median(finding.misses.iter().map(|[_, by]| by.length()).collect());
+    let far: Vec<(f64, &str)> = std::iter::zip(findings, names)
+        .filter(|(finding, _)| !finding.misses.is_empty())
+        .map(|(finding, name)| (off_px(finding), *name))
+        .filter(|(off_px, _)| *off_px > LEAST_MOVE_PX)
+        .collect();
+    let (worst_px, worst) = far.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let shape = if is_flat { "" } else { " or its shape is not the one that [surface] says," };
+    Some(format!(
+        "{} off throughout, \"{worst}\" by {worst_px:.2} pixels, where {LEAST_MOVE_PX} is allowed and the noise of \
+         crossings is {noise_px:.2}: the photographs show another wall than the file's,{shape} or the lens bends too much: \
+         photograph this wall, or align it anew, without --again",
+        if far.len() == 1 { "1 projector is".to_owned() } else { format!("{} projectors are", far.len()) }
+    ))
 }
 
 /// Whether points at these distances, half and nineteen of twenty, lie where they should.

@@ -286,6 +286,14 @@ impl BentSolution {
         self.bundle.projections[projector].is_some()
     }
 
+    /// How far crossings of these shots are off on average, in pixels; none counts as more than one pixel, and as much if its
+    /// projector was not solved.
+    pub(super) fn left_over_px(&self, shots: &[Shot]) -> f64 {
+        let all = || self.misses.iter().flatten().map(|[_, by]| by.length().min(1.0));
+        let n_seen: usize = shots.iter().flat_map(|shot| &shot.sightings).map(|it| it.points.len()).sum();
+        (all().sum::<f64>() + n_seen.saturating_sub(all().count()) as f64) / n_seen.max(1) as f64
+    }
+
     /// How well a projector fits.
     pub(super) fn fit(&self, projector: usize) -> Fit {
         self.fits[projector]

@@ -8,6 +8,7 @@ use super::{
     bent::BentSolution,
     bent_verdict::{finding, layouts, solved},
     finding::Finding,
+    noise::noise_px,
     pattern::Plan,
     solve::{Fit, Shot},
     unroll::Unrolled,
@@ -31,8 +32,8 @@ pub(super) fn judge(wall: &Wall, surface: Surface, plan: &Plan, readings: &[Read
         (0..n_projectors).map(|index| solution.map_or(Fit::default(), |it| it.fit(index))).collect()
     };
     // A part of the points tells which have moved.
-    let few: Vec<Shot> = shots.iter().map(thinned).collect();
-    let limit = limit(&fits(solve(&vec![true; n_projectors], &few).as_ref()));
+    let few: Vec<Shot> = shots.iter().map(|shot| shot.thinned(FEW)).collect();
+    let limit = limit(noise_px(&shots));
     let tried = |has_moved: &[bool]| {
         let solution = solve(has_moved, &few);
         let away =
@@ -59,14 +60,4 @@ pub(super) fn judge(wall: &Wall, surface: Surface, plan: &Plan, readings: &[Read
         }
     };
     judged(wall, plan, &shots, &has_moved, found, &outcome)
-}
-
-/// The shot with at most [`FEW`] points of each sighting.
-fn thinned(shot: &Shot) -> Shot {
-    let mut thinned = shot.clone();
-    for sighting in &mut thinned.sightings {
-        let step = sighting.points.len().div_ceil(FEW).max(1);
-        sighting.points = sighting.points.iter().step_by(step).copied().collect();
-    }
-    thinned
 }

@@ -5,9 +5,10 @@ use super::{
     finding::{Finding, typical},
     pattern::Plan,
     place::Placement,
+    shape,
     solve::Shot,
     unroll::{Unrolled, place_in_file},
-    verdict::{Verdict, doubts, line, misfit, misfit_line, missing_fault},
+    verdict::{Verdict, doubts, line, misfit, misfit_line, misfits_fault, missing_fault},
 };
 use crate::wall::{Projector, Surface, Wall};
 
@@ -42,12 +43,18 @@ pub(super) fn judge(
         faults.push("no photograph shows enough of the patterns: are the projectors on, and is it sharp?".into());
         return nothing(found, faults);
     };
+    let all_shots = shots.clone();
     while let Some(worst) = misfit(&solution.shot_medians_px) {
         found.push(misfit_line(names[worst], solution.shot_medians_px[worst]));
         shots[worst].sightings.clear();
         let Some(next) = solved(wall, surface, &shots, &free) else { break };
         solution = next;
     }
+    let shape = shape::evidence(wall, surface, &solution, &all_shots);
+    found.extend(shape.remarks);
+    faults.extend(misfits_fault(&all_shots, &shots, false));
+    let is_doubted = !shape.faults.is_empty();
+    faults.extend(shape.faults);
     let kept = Unrolled::kept(wall, surface, &solution);
     let unrolled = if is_kept { kept } else { kept.largest(wall, surface, &solution) };
     let mut projectors = wall.projectors().to_vec();
@@ -72,13 +79,15 @@ pub(super) fn judge(
         findings.push(Finding { has_fault: faults.len() > n_faults, ..finding });
     }
     let lit = unrolled.lit(wall, &solution);
-    if lit < LEAST_LIT {
+    let dark = shape::dark_fault(wall, surface, lit).filter(|_| !is_doubted);
+    if lit < LEAST_LIT && dark.is_none() {
         found.push(format!(
             "{:.0} % of the canvas is lit: --place largest may make the picture fit; otherwise move projectors, or change \
              canvas_m",
             100.0 * lit
         ));
     }
+    faults.extend(dark);
     let is_changed = projectors != wall.projectors();
     let new_wall = wall.with_projectors(projectors).map_err(|error| {
         faults.push(format!("{error}: does the file's layout agree with the wall?"));

@@ -26,6 +26,18 @@ pub struct Shot {
     pub sightings: Vec<Sighting>,
 }
 
+impl Shot {
+    /// The shot with at most so many points of each sighting.
+    pub(super) fn thinned(&self, most: usize) -> Self {
+        let mut thinned = self.clone();
+        for sighting in &mut thinned.sightings {
+            let step = sighting.points.len().div_ceil(most).max(1);
+            sighting.points = sighting.points.iter().step_by(step).copied().collect();
+        }
+        thinned
+    }
+}
+
 /// Where projectors' pixels lie, on a plane that is the wall's up to a homography.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solution {

@@ -48,6 +48,8 @@ pub(super) const LARGEST_MEDIAN_PX: f64 = 0.3;
 pub(super) const LARGEST_P95_PX: f64 = 1.0;
 /// The part of a projector's crossings that must be seen.
 pub(super) const LEAST_COVERED: f64 = 0.6;
+/// More photographs than this part of all are too many to be left out as misfits.
+const MOST_MISFITS: f64 = 0.2;
 /// A photograph whose points lie this many times as far off as those of the others was not taken as they were.
 const FARTHEST_VIEW: f64 = 5.0;
 
@@ -152,7 +154,9 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
         found.extend(verdict.found);
         return Verdict { found, ..verdict };
     }
+    let all_shots = shots.clone();
     let solution = solved_without_misfits(readings, &mut shots, &mut found, &|shots| solve(n_projectors, shots));
+    faults.extend(misfits_fault(&all_shots, &shots, true));
     let placement = placement.cloned().unwrap_or_else(|| Placement::of_wall(wall));
     let plane_from_canvas = placement.plane_from_canvas(wall, &shots, &solution);
     if plane_from_canvas.is_none() && solution.px_from_plane.iter().any(Option::is_some) {
@@ -322,6 +326,19 @@ pub(super) fn misfit_line(name: &str, median_px: f64) -> String {
         "{name} does not fit the others, by {median_px:.1} pixels, and does not count: the camera moved while it was taken, \
          or it has another lens or another wall"
     )
+}
+
+/// A fault if so many shots were left out that those may be right which were not.
+pub(super) fn misfits_fault(all: &[Shot], left: &[Shot], is_flat: bool) -> Option<String> {
+    let n_used = |shots: &[Shot]| shots.iter().filter(|shot| !shot.sightings.is_empty()).count();
+    let (n_all, n_out) = (n_used(all), n_used(all) - n_used(left));
+    let shape = if is_flat { "is the wall flat" } else { "has the wall the shape that [surface] says" };
+    (n_out >= 2 && n_out as f64 > MOST_MISFITS * n_all as f64).then(|| {
+        format!(
+            "{n_out} of {n_all} photographs do not fit the others, too many to leave out: {shape}, and are all of this wall, \
+             with one lens at one zoom? Take away those that are not"
+        )
+    })
 }
 
 /// The cause that a projector was not solved, with the cure.

@@ -451,7 +451,10 @@ fn check(args: &CalibrateArgs, Verdict { wall, faults, .. }: &Verdict) -> anyhow
         );
     }
     if wall.is_none() && !faults.is_empty() {
-        bail!("nothing was found, so {file} stays as it was: see the faults above");
+        bail!(
+            "nothing of this can be written, so {file} stays as it was: mend what {} above names",
+            counted(faults.len(), "fault")
+        );
     }
     Ok(())
 }

@@ -238,7 +238,7 @@ mod tests {
 
     #[test]
     fn every_projector_is_in_the_drawing_by_name() {
-        for name in ["paper-4x3.toml", "blended-4x3.toml", "lcd-5x3.toml", "two-monitors.toml", "laptop.toml"] {
+        for name in ["paper-4x3.toml", "blended-4x3.toml", "curved-3x1.toml", "two-monitors.toml", "laptop.toml"] {
             let wall = shipped(name);
             let svg = drawing::draw(&wall, name);
             for projector in wall.projectors() {

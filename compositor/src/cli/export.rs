@@ -27,6 +27,9 @@ pub struct ExportArgs {
     /// The values of warps: each pixel's point of the picture, its direction from an eye, or its point in space
     #[arg(long, value_enum, default_value = "2d")]
     pub profile: ExportProfile,
+    /// The wall is flat, although its projectors have meshes, as those of an imported wall do
+    #[arg(long)]
+    pub flat: bool,
 }
 
 /// A profile of MPCDI.
@@ -47,10 +50,16 @@ pub enum ExportProfile {
 pub fn run(args: &ExportArgs) -> anyhow::Result<()> {
     ensure_new(&args.file, "name another MPCDI file")?;
     let wall = Wall::load(&args.wall)?;
-    let is_flat = wall.projectors().iter().all(|projector| projector.mesh.is_none());
+    let is_flat = args.flat || wall.projectors().iter().all(|projector| projector.mesh.is_none());
+    ensure!(
+        !args.flat || wall.surface().is_none(),
+        "{} says with [surface] that the wall is not flat: leave out --flat, or [surface]",
+        args.wall.display()
+    );
     ensure!(
         args.profile == ExportProfile::Picture || wall.surface().is_some() || is_flat,
-        "{} has meshes and does not say the wall's shape: add [surface] if it is not flat, or export profile 2d",
+        "{} has meshes and does not say the wall's shape: add [surface] if it is not flat, or export profile 2d; if it is \
+         flat, add --flat",
         args.wall.display()
     );
     let profile = match args.profile {

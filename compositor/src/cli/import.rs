@@ -162,7 +162,13 @@ fn gammas(wall: &Wall) -> String {
             all.push(gamma);
         }
     }
-    format!("gamma is {}: set \"srgb\" for those that have sRGB's curve, which MPCDI cannot say", all.join(" and "))
+    match &all[..] {
+        [only] if only == "\"srgb\"" => "gamma is \"srgb\", as the file says none".to_owned(),
+        _ => format!(
+            "gamma is {}: set \"srgb\" for those that have sRGB's curve, which MPCDI cannot say",
+            all.join(" and ")
+        ),
+    }
 }
 
 fn canvas_m(args: &ImportArgs, document: &Mpcdi) -> anyhow::Result<[f64; 2]> {
@@ -195,7 +201,12 @@ fn laid(args: &ImportArgs, archive: &mut Archive<File>, document: &Mpcdi) -> any
         ensure!(args.angle.is_none(), "--angle follows from the points in a file of this profile: leave it out");
         let (places, fitted) = points::places(args.shape.unwrap_or(Shape::Flat), &rough).map_err(fault)?;
         let has_unit = document.regions.iter().any(|region| region.unit_m.is_some());
-        (places, fitted.surface, has_unit.then_some(1.0), "it lies where points in space do".to_owned())
+        let size = if has_unit || args.width.is_some() {
+            ""
+        } else {
+            "; the file names no unit that is known, so its width is a guess, and --width sets it"
+        };
+        (places, fitted.surface, has_unit.then_some(1.0), format!("it lies where points in space do{size}"))
     } else {
         let surface = unit_surface(args)?;
         let (places, line) = view::places(surface, &rough).map_err(fault)?;

@@ -50,9 +50,21 @@ const CELLS: f64 = 192.0;
 
 impl Light {
     /// The light of a map's value at each pixel, from 0 to 1, whose size is columns and rows.
+    ///
+    /// Between the centres of pixels it is interpolated: a ramp of a coarse projector has few of them.
     pub fn new(size: [usize; 2], light_at: impl Fn(usize, usize) -> f64) -> Self {
-        let at = |n: usize, side: usize| (n * side.saturating_sub(1) + (LIGHT_SIDE - 1) / 2) / (LIGHT_SIDE - 1);
-        let of = |n: usize| light_at(at(n % LIGHT_SIDE, size[0]), at(n / LIGHT_SIDE, size[1]));
+        // The pixel before a place along an axis, the one after, and how far it is on the way.
+        let near = |n: usize, side: usize| {
+            let last = side.saturating_sub(1);
+            let at = n as f64 / (LIGHT_SIDE - 1) as f64 * side as f64 - 0.5;
+            let at = at.clamp(0.0, last as f64);
+            (at as usize, (at as usize + 1).min(last), at.fract())
+        };
+        let of = |n: usize| {
+            let ((left, right, x), (upper, lower, y)) = (near(n % LIGHT_SIDE, size[0]), near(n / LIGHT_SIDE, size[1]));
+            let row = |row: usize| light_at(left, row) * (1.0 - x) + light_at(right, row) * x;
+            row(upper) * (1.0 - y) + row(lower) * y
+        };
         Self { values: (0..LIGHT_SIDE * LIGHT_SIDE).map(of).collect() }
     }
 

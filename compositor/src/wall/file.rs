@@ -96,11 +96,52 @@ const MOST_POINTS: usize = 8 << 20;
 /// The longest mesh file in bytes: the largest mesh, and its header.
 const LONGEST_MESH: u64 = 12 * (Mesh::MOST_POINTS_A_SIDE * Mesh::MOST_POINTS_A_SIDE) as u64 + 256;
 
+/// Keys of lists with the points and the numbers of a point that they take.
+const LENGTHS: [(&str, [usize; 2]); 10] = [
+    ("canvas_m", [0, 2]),
+    ("frame", [0, 2]),
+    ("pixels", [0, 2]),
+    ("pixels_at", [0, 2]),
+    ("overlap", [0, 2]),
+    ("bezel_m", [0, 2]),
+    ("at_m", [0, 2]),
+    ("size_m", [0, 2]),
+    ("gain", [0, 3]),
+    ("warp_px", [4, 2]),
+];
+
 /// The wall that the text of a file describes, with its meshes; or the byte of the file at fault, and the problem.
 pub(super) fn parse(path: &Path, text: &str) -> Result<Wall, (usize, String)> {
     let file: WallFile = toml::from_str(text)
         .map_err(|error| (error.span().map_or(0, |span| span.start), error.message().to_owned()))?;
+    check_lengths(text)?;
     file.wall(path).map_err(|(path, problem)| (offset_of(text, &path), problem))
+}
+
+/// Refuses lists with more numbers than their keys take: serde would leave out the last ones without a word.
+fn check_lengths(text: &str) -> Result<(), (usize, String)> {
+    fn check(key: &str, value: &DeValue<'_>, offset: usize) -> Result<(), (usize, String)> {
+        match value {
+            DeValue::Table(table) => {
+                table.iter().try_for_each(|(key, value)| check(key.get_ref(), value.get_ref(), value.span().start))
+            }
+            DeValue::Array(array) => {
+                let is_list = |value: &DeValue<'_>| matches!(value, DeValue::Array(_));
+                let is_point =
+                    array.iter().all(|it| !is_list(it.get_ref()) && !matches!(it.get_ref(), DeValue::Table(_)));
+                let most = LENGTHS.iter().find(|(it, _)| *it == key).map(|(_, lengths)| lengths[usize::from(is_point)]);
+                if most.is_some_and(|most| array.len() > most) {
+                    let (n, most) = (array.len(), most.unwrap_or_default());
+                    let what = if is_point { "numbers" } else { "points" };
+                    return Err((offset, format!("{key} has {n} {what}, and takes {most}: leave out the others")));
+                }
+                array.iter().try_for_each(|it| check(key, it.get_ref(), it.span().start))
+            }
+            _ => Ok(()),
+        }
+    }
+    let Ok(document) = DeTable::parse(text) else { return Ok(()) };
+    check("", &DeValue::Table(document.into_inner()), 0)
 }
 
 /// The byte of a file at which a value begins, or the innermost table of its path that is there.

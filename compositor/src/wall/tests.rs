@@ -25,7 +25,48 @@ fn the_laptop_s_file_fits_a_laptop() {
     assert_eq!(config("laptop.toml").output_size(), [1280, 720]);
 }
 
-const SHIPPED: [&str; 5] = ["paper-4x3.toml", "blended-4x3.toml", "lcd-5x3.toml", "two-monitors.toml", "laptop.toml"];
+const SHIPPED: [&str; 6] =
+    ["paper-4x3.toml", "blended-4x3.toml", "curved-3x1.toml", "lcd-5x3.toml", "two-monitors.toml", "laptop.toml"];
+
+#[test]
+fn the_curved_wall_s_file_shows_all_shapes() {
+    assert!(matches!(config("curved-3x1.toml").surface(), Some(Surface::Cylinder { .. })));
+    // Other shapes are there as comments.
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../wall-config/curved-3x1.toml");
+    let text = std::fs::read_to_string(path).unwrap();
+    let bare = |line: &str| line.trim_start_matches("# ").to_owned() + "\n";
+    for name in ["fold", "dome"] {
+        let lines = text.lines().skip_while(|line| *line != format!("# [surface.{name}]"));
+        let table: String = lines.take_while(|line| *line != "#" && !line.is_empty()).map(bare).collect();
+        let text = format!("canvas_m = [3.14, 0.75]\n[grid]\ncolumns = 3\nrows = 1\npixels = [64, 48]\n{table}");
+        assert!(Wall::from_toml("other", &text).unwrap().surface().is_some(), "{name}");
+    }
+}
+
+#[test]
+fn numbers_beyond_those_that_a_key_takes_are_refused() {
+    let grid = "[grid]\ncolumns = 2\nrows = 1\n";
+    for (text, problem) in [
+        (format!("canvas_m = [2.0, 1.0, 3.0]\n{grid}pixels = [64, 48]\n"), "1:12: canvas_m has 3 numbers, and takes 2"),
+        (format!("canvas_m = [2.0, 1.0]\n{grid}pixels = [64, 48, 1]\n"), "5:10: pixels has 3 numbers, and takes 2"),
+        (
+            format!(
+                "canvas_m = [2.0, 1.0]\n{grid}pixels = [64, 48]\n[surface.dome]\nradius_m = 2\nat_m = [1, 0.5, 9]\n"
+            ),
+            "at_m has 3 numbers, and takes 2",
+        ),
+        (
+            format!(
+                "canvas_m = [2.0, 1.0]\n{grid}pixels = [64, 48]\n[[projector]]\nname = \"row 1 column 1\"\n\
+                 warp_px = [[0, 0], [0, 0], [0, 0], [0, 0], [0, 0]]\n"
+            ),
+            "warp_px has 5 points, and takes 4",
+        ),
+    ] {
+        let error = Wall::from_toml("ours", &text).unwrap_err().to_string();
+        assert!(error.contains(problem), "{error}");
+    }
+}
 
 #[test]
 fn what_is_printed_with_all_defaults_is_the_same_wall() {
