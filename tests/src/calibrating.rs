@@ -350,11 +350,14 @@ fn the_program_writes_meshes_beside_the_file() {
     fs::write(&file, &text).unwrap();
     let plan = Plan::of_wall(&rig.wall).unwrap();
     let middle = rig.wall.canvas_m()[0] / 2.0;
-    let camera = rig.camera([1400, 900], DVec3::new(middle + 0.3, 0.5, 2.6), DVec2::new(middle, 0.375), 0.72);
-    for pattern in 0..plan.n_patterns() {
-        rig.show(&plan, pattern, &[]);
-        let photograph = camera.photograph(&rig.projectors, None, pattern.into());
-        fs::write(photos.join(format!("{pattern}.png")), photograph).unwrap();
+    // From two places: from one, photographs tell little of the wall's size.
+    for (place, aside) in [0.5, -0.5].into_iter().enumerate() {
+        let camera = rig.camera([1400, 900], DVec3::new(middle + aside, 0.5, 2.6), DVec2::new(middle, 0.375), 0.72);
+        for pattern in 0..plan.n_patterns() {
+            rig.show(&plan, pattern, &[]);
+            let photograph = camera.photograph(&rig.projectors, None, pattern.into());
+            fs::write(photos.join(format!("{place}-{pattern}.png")), photograph).unwrap();
+        }
     }
     for run in 1..=2 {
         let mut command = crate::process::Program::command("compositor");

@@ -230,10 +230,10 @@ fn what_an_import_guesses_is_said() {
 }
 
 #[test]
-fn coarse_projectors_of_a_flat_wall_go_round_and_round() {
+fn coarse_projectors_go_round_and_round() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
-    let text = "canvas_m = [4.0, 1.5]\n[grid]\ncolumns = 2\nrows = 1\npixels = [80, 60]\noverlap = [0.1, 0.1]\n";
+    let text = "canvas_m = [4.0, 1.5]\n[grid]\ncolumns = 2\nrows = 1\npixels = [80, 60]\noverlap = [0.05, 0.0]\n";
     fs::write(path("0.toml"), text).unwrap();
     let mut flat: &[&str] = &[];
     for round in 0..2 {
@@ -256,6 +256,18 @@ fn coarse_projectors_of_a_flat_wall_go_round_and_round() {
         }
         // The wall has meshes now.
         flat = &["--flat"];
+    }
+    for (rig, shape, surface) in [
+        (bent::cylinder([80, 60], ["", ""]), "cylinder", "[surface.cylinder]\nradius_m = 2.0\nat_m = 1.57\n"),
+        (bent::dome(false, [80, 60], ["", ""]), "dome", "[surface.dome]\nradius_m = 2.2\nat_m = [1.5, 0.375]\n"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name).display().to_string();
+        wall_of(&rig, [17, 13], surface, folder.path());
+        let (code, said) = run(&["export", &path("ours.toml"), &path("ours.mpcdi"), "--profile", "3d"]);
+        assert_eq!(code, Some(0), "{said}");
+        let (code, said) = run(&["import", &path("ours.mpcdi"), &path("theirs.toml"), "--shape", shape]);
+        assert!(code == Some(0) && said.contains("as the overlaps confirm"), "{said}");
     }
 }
 

@@ -42,6 +42,8 @@ const SAMPLES: [u32; 2] = [24, 18];
 const FADED: f64 = 0.98;
 /// Light by which a point is beyond the picture.
 const DARK: f64 = 0.02;
+/// Light that changes by more from one point of its lattice to the next has an edge: ramps of blending are wider.
+const STEEP: f64 = 0.25;
 /// The farthest beyond its edge, as a part of a projector, that a place counts as lit: projectors that meet without an overlap
 /// leave a gap, by rounding.
 const GAP: f64 = 1e-3;
@@ -77,6 +79,16 @@ impl Light {
         let row = |first: usize| self.values[first] * (1.0 - part.x) + self.values[first + 1] * part.x;
         row(first) * (1.0 - part.y) + row(first + LIGHT_SIDE) * part.y
     }
+
+    /// Whether the light begins or ends there at once, as at the picture's edge.
+    fn is_steep(&self, raster: DVec2) -> bool {
+        let last = DVec2::splat((LIGHT_SIDE - 2) as f64);
+        let cell = (raster * (LIGHT_SIDE - 1) as f64).floor().clamp(DVec2::ZERO, last);
+        let first = cell.y as usize * LIGHT_SIDE + cell.x as usize;
+        let corners = [0, 1, LIGHT_SIDE, LIGHT_SIDE + 1].map(|n| self.values[first + n]);
+        let [least, greatest] = [f64::min, f64::max].map(|of| corners.into_iter().fold(corners[0], of));
+        greatest - least > STEEP
+    }
 }
 
 impl Rough<'_> {
@@ -104,6 +116,12 @@ impl Rough<'_> {
                         Some((other, raster?))
                     })
                     .collect();
+                let is_steep =
+                    |(other, at): &(usize, DVec2)| self.maps[*other].as_ref().is_some_and(|it| it.is_steep(*at));
+                // By less than a pixel, one map shows the picture there and another does not.
+                if there.iter().any(is_steep) {
+                    continue;
+                }
                 let light = |(other, at): &(usize, DVec2)| Some(self.maps[*other].as_ref()?.at(*at));
                 let sum: f64 = there.iter().filter_map(light).sum();
                 all.push(sum);

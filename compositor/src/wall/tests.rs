@@ -47,8 +47,11 @@ fn the_curved_wall_s_file_shows_all_shapes() {
 fn numbers_beyond_those_that_a_key_takes_are_refused() {
     let grid = "[grid]\ncolumns = 2\nrows = 1\n";
     for (text, problem) in [
-        (format!("canvas_m = [2.0, 1.0, 3.0]\n{grid}pixels = [64, 48]\n"), "1:12: canvas_m has 3 numbers, and takes 2"),
-        (format!("canvas_m = [2.0, 1.0]\n{grid}pixels = [64, 48, 1]\n"), "5:10: pixels has 3 numbers, and takes 2"),
+        (
+            format!("canvas_m = [2.0, 1.0, 3.0]\n{grid}pixels = [64, 48]\n"),
+            "ours:1: canvas_m has 3 numbers, and takes 2",
+        ),
+        (format!("canvas_m = [2.0, 1.0]\n{grid}pixels = [64, 48, 1]\n"), "ours:5: pixels has 3 numbers, and takes 2"),
         (
             format!(
                 "canvas_m = [2.0, 1.0]\n{grid}pixels = [64, 48]\n[surface.dome]\nradius_m = 2\nat_m = [1, 0.5, 9]\n"
