@@ -168,7 +168,7 @@ fn the_program_aligns_again_draws_a_report_and_says_when_it_cannot() {
     let close_up = it.rig.camera([1500, 1500], DVec3::new(0.9, 1.1, 2.3), DVec2::new(0.85, 1.1), 0.95);
     fs::write(photos.join("one.png"), close_up.photograph(&it.rig.projectors, None, 7)).unwrap();
     let (code, said) = run(&["--again"]);
-    assert!(code == Some(1) && said.contains("seen too little to tell"), "{said}");
+    assert!(code == Some(1) && said.contains("too little is seen of"), "{said}");
     assert!(said.contains("nothing of this can be written") && !said.contains("nothing was found"), "{said}");
     fs::write(&file, "canvas_m = [2.0, 0.75]\n[grid]\ncolumns = 2\nrows = 1\npixels = [256, 192]\n").unwrap();
     let (code, said) = run(&["--again"]);
@@ -228,7 +228,7 @@ fn after_a_bump_curved_and_folded_walls_and_domes_are_aligned_again() {
             let one = [it.plan.whole_in(bumped)];
             for patterns in [&one[..], &all] {
                 let Verdict { wall, found, faults, projectors } = it.again(patterns);
-                if patterns.len() == 1 && faults.iter().any(|fault| fault.contains("is seen too little to tell")) {
+                if patterns.len() == 1 && faults.iter().any(|fault| fault.contains("too little is seen of")) {
                     assert!((name, bumped) == ("fold", 0), "{name} {bumped}: {faults:?}");
                     continue;
                 }

@@ -9,7 +9,6 @@
 //! projectors may have moved, since they would outvote the others.
 
 use glam::{DMat3, DVec2, DVec3};
-use shared::printable::counted;
 
 use super::{
     bent_again,
@@ -181,7 +180,9 @@ pub(super) fn judged(
     let n_moved = has_moved.iter().filter(|has_moved| **has_moved).count();
     // Of two that are seen, nothing tells which one has moved.
     let n_seen = outcomes.iter().filter(|it| it.finding.fit.is_some_and(|fit| fit.n_points > 0)).count();
-    if n_moved > 0 && 2 * n_moved >= n_seen {
+    if n_moved > 0 && n_seen == 0 {
+        faults.push("no projector is seen as the file has it: photograph this wall, the right way round".to_owned());
+    } else if n_moved > 0 && 2 * n_moved >= n_seen {
         faults.push(format!(
             "{n_moved} of {n_seen} projectors that are seen do not lie where the file has them, and fewer than half may have \
              moved: photograph the whole wall, or align it anew, without --again"
@@ -224,11 +225,7 @@ pub(super) fn judged(
         }
     }
     if !unseen.is_empty() {
-        faults.push(format!(
-            "{} of {} is seen too little to tell whether it moved: photograph the whole wall",
-            counted(unseen.len(), "projector"),
-            names(&unseen)
-        ));
+        faults.push(format!("too little is seen of {} to tell a move: photograph the whole wall", names(&unseen)));
     }
     let new_wall = if n_moved == 0 {
         if faults.is_empty() {

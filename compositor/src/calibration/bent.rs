@@ -269,6 +269,16 @@ impl BentSolution {
         }
     }
 
+    /// The largest angle between the directions in which two cameras stand, as seen from the middle of the wall, in degrees.
+    pub(super) fn parallax_deg(&self) -> f64 {
+        let points = || self.crossings.iter().flatten().map(|[_, place]| self.surface.in_space(*place));
+        let middle = points().sum::<DVec3>() / points().count().max(1) as f64;
+        let places = self.bundle.poses.iter().flatten().map(|pose| (pose.position - middle).normalize_or_zero());
+        let places: Vec<DVec3> = places.collect();
+        let angles = places.iter().flat_map(|a| places.iter().map(|b| a.angle_between(*b).to_degrees()));
+        angles.fold(0.0, f64::max)
+    }
+
     /// How far a projector's points are from where a layout has them, in its pixels: half and nineteen of twenty are nearer.
     pub(super) fn distances(&self, projector: usize, layout: &Layout<'_>) -> [f64; 2] {
         let size = self.sizes[projector];

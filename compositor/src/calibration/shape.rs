@@ -37,6 +37,10 @@ const LEAST_LIT: f64 = 0.9;
 /// Points of the canvas each way at which the layout is tried.
 const N_LAID: u32 = 40;
 
+/// Cameras must stand so many degrees apart, as seen from the wall: from one place, a lens or another shape explains all that
+/// is left over.
+const LEAST_PARALLAX_DEG: f64 = 6.0;
+
 /// What photographs tell of the shape.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Evidence {
@@ -48,6 +52,10 @@ pub(super) struct Evidence {
 
 /// The evidence of a solution by the shape in the file, and of all shots, misfits among them.
 pub(super) fn evidence(wall: &Wall, surface: Surface, solution: &BentSolution, shots: &[Shot]) -> Evidence {
+    let parallax = solution.parallax_deg();
+    if parallax < LEAST_PARALLAX_DEG {
+        return Evidence { faults: vec![parallax_fault(parallax)], remarks: Vec::new() };
+    }
     match surface {
         Surface::Cylinder { radius_m, .. } | Surface::Dome { radius_m, .. } => {
             let faults = size_fault(radius_m, size(wall, surface, solution)).into_iter().collect();
@@ -108,6 +116,12 @@ fn size(wall: &Wall, surface: Surface, solution: &BentSolution) -> f64 {
         median(pairs.iter().map(|pair| pair[side].distance(middle)).collect())
     };
     spread(1) / spread(0)
+}
+
+fn parallax_fault(parallax_deg: f64) -> String {
+    format!(
+        "photographs are from one place, or from places within {parallax_deg:.0} degrees as seen from the wall, and tell the          shape of a wall that is not flat only from {LEAST_PARALLAX_DEG} degrees on: walk about, and take some from two more          places, to the left and to the right"
+    )
 }
 
 fn size_fault(radius_m: f64, size: f64) -> Option<String> {
@@ -194,6 +208,11 @@ fn pairs(wall: &Wall, solution: &BentSolution) -> Vec<[DVec2; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn one_place_is_told_with_the_cure() {
+        assert!(parallax_fault(0.4).contains("within 0 degrees") && parallax_fault(0.4).contains("two more places"));
+    }
 
     #[test]
     fn a_radius_is_believed_if_projectors_light_what_the_layout_says() {

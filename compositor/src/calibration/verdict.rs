@@ -50,6 +50,8 @@ pub(super) const LARGEST_P95_PX: f64 = 1.0;
 pub(super) const LEAST_COVERED: f64 = 0.6;
 /// More photographs than this part of all are too many to be left out as misfits.
 const MOST_MISFITS: f64 = 0.2;
+/// A rectangle that reaches farther beyond its projector's pixels than this part of their height was not marked as it is.
+const MOST_BEYOND: f64 = 0.1;
 /// A photograph whose points lie this many times as far off as those of the others was not taken as they were.
 const FARTHEST_VIEW: f64 = 5.0;
 
@@ -192,7 +194,27 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
         projectors.push(Finding { has_fault: faults.len() > n_faults, ..finding });
     }
     let new_wall = with_warps(wall, &warps, &mut found, &mut faults);
+    if matches!(placement, Placement::Marks { .. }) {
+        faults.extend(new_wall.as_ref().and_then(marks_fault));
+    }
     Verdict { wall: new_wall, found, faults, projectors }
+}
+
+/// A fault if marks ask projectors for much more than they light: marks in another order turn the picture, and mostly reach
+/// beyond.
+fn marks_fault(wall: &Wall) -> Option<String> {
+    let parts = (0..wall.projectors().len()).map(|index| {
+        let size = wall.projectors()[index].output.size();
+        beyond_px(wall, index) / size.min_element()
+    });
+    let most = parts.fold(0.0, f64::max);
+    (most > MOST_BEYOND).then(|| {
+        format!(
+            "--marks asks for corners beyond what projectors light, by {:.0} % of a projector's height: give the canvas's \
+             corners in the order upper left, upper right, lower right, lower left, at pixels of that photograph",
+            100.0 * most
+        )
+    })
 }
 
 /// The shots of all photographs without what they show the wrong way round, and a line for each that shows some.
@@ -357,22 +379,27 @@ pub(super) fn missing_fault(name: &str, index: usize, shots: &[Shot]) -> String 
     }
 }
 
+/// How far the corners of a projector's rectangle lie beyond its pixels, at most.
+fn beyond_px(wall: &Wall, index: usize) -> f64 {
+    let [upper_left, upper_right, lower_right, lower_left] = wall.projectors()[index].warp_px;
+    let beyond = [
+        -upper_left[0],
+        -upper_left[1],
+        upper_right[0],
+        -upper_right[1],
+        lower_right[0],
+        lower_right[1],
+        -lower_left[0],
+        lower_left[1],
+    ];
+    beyond.into_iter().fold(0.0, f64::max)
+}
+
 /// Projectors of which a part of the rectangle lies beyond their pixels.
 fn short_projectors(wall: &Wall) -> Vec<String> {
     let short = |index: &usize| {
         let projector = &wall.projectors()[*index];
-        let [upper_left, upper_right, lower_right, lower_left] = projector.warp_px;
-        let beyond = [
-            -upper_left[0],
-            -upper_left[1],
-            upper_right[0],
-            -upper_right[1],
-            lower_right[0],
-            lower_right[1],
-            -lower_left[0],
-            lower_left[1],
-        ];
-        let most = beyond.into_iter().fold(0.0, f64::max);
+        let most = beyond_px(wall, *index);
         (most > 0.5).then(|| {
             format!(
                 "\"{}\" does not reach a part of its rectangle, by up to {most:.0} pixels: --place largest may make \

@@ -14,10 +14,13 @@ use std::{
 };
 
 use anyhow::{Context, bail};
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use glam::DVec2;
 use image::metadata::Orientation;
 use renderer::cli::{
-    check_writable, say,
+    check_writable,
+    picture_args::with_ending,
+    say,
     stop::{self, Stopped},
 };
 use shared::printable::{counted, printable_line};
@@ -76,7 +79,8 @@ pub struct CalibrateArgs {
     #[arg(long, conflicts_with = "show")]
     pub yes: bool,
     /// Draw what was found of each projector into this file
-    #[arg(long, value_name = "FILE.png")]
+    #[arg(long, value_name = "FILE.png",
+        value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "png")))]
     pub report: Option<PathBuf>,
 }
 
@@ -120,6 +124,7 @@ pub fn run(args: &CalibrateArgs) -> anyhow::Result<()> {
         return write_patterns(args, &wall, &plan, folder);
     }
     check_writable(&args.file)?;
+    check_report(args)?;
     let Some(folder) = &args.photos else {
         return match &args.watch {
             Some(folder) => watch(args, &wall, &plan, folder),
@@ -151,6 +156,21 @@ pub fn run(args: &CalibrateArgs) -> anyhow::Result<()> {
         }
     }
     write(args, &verdict)
+}
+
+/// The drawing must not take the place of a file that goes in.
+fn check_report(args: &CalibrateArgs) -> anyhow::Result<()> {
+    let Some(report) = &args.report else { return Ok(()) };
+    let folder_of =
+        |path: &Path| fs::canonicalize(path.parent().filter(|it| *it != Path::new("")).unwrap_or(Path::new(".")));
+    let photos = args.photos.iter().chain(&args.watch).filter_map(|folder| fs::canonicalize(folder).ok());
+    let is_among_photos = folder_of(report).is_ok_and(|folder| photos.into_iter().any(|photos| photos == folder));
+    if is_among_photos
+        || fs::canonicalize(report).is_ok_and(|path| fs::canonicalize(&args.file).is_ok_and(|it| it == path))
+    {
+        bail!("--report {}: name a file that is not among the photographs, and not the wall file", report.display());
+    }
+    Ok(())
 }
 
 fn is_yes(answer: &str) -> Option<bool> {
@@ -452,7 +472,7 @@ fn check(args: &CalibrateArgs, Verdict { wall, faults, .. }: &Verdict) -> anyhow
     }
     if wall.is_none() && !faults.is_empty() {
         bail!(
-            "nothing of this can be written, so {file} stays as it was: mend what {} above names",
+            "nothing of this can be written, so {file} stays as it was: mend the {} above",
             counted(faults.len(), "fault")
         );
     }

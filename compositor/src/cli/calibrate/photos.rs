@@ -37,6 +37,8 @@ const MOST_PHOTOS: usize = 900;
 const MOST_PIXELS: u64 = 64_000_000;
 /// The longest file of so many pixels: three times 16 bits each, and as much again.
 const MOST_BYTES: u64 = 12 * MOST_PIXELS;
+/// The most shades of a drawing: patterns of light have about ten.
+const MOST_DRAWN: usize = 24;
 /// How often a folder is looked at; a file is complete if it has not grown since the last time, and is read again if it has
 /// another length later.
 const WATCH_INTERVAL: Duration = Duration::from_millis(300);
@@ -103,6 +105,12 @@ impl Photo {
         let image = DynamicImage::from_decoder(decoder).map_err(|error| fault(&error))?;
         drop(bytes);
         let grey = image.to_luma16();
+        if is_drawing(grey.as_raw()) {
+            return Err(format!(
+                "{name} is a drawing, as the patterns themselves, and no photograph: it does not count; take photographs of the \
+                 wall"
+            ));
+        }
         let values = grey.as_raw().iter().map(|value| f32::from(*value) / 65535.0).collect();
         drop(grey);
         let photograph = Photograph { size: [width as usize, height as usize], values };
@@ -126,6 +134,20 @@ impl Photo {
             |x: usize, y: usize| colours.get_pixel(x as u32, y as u32).0.map(|value| f32::from(value) / 255.0);
         Reading::with_colours(name, photograph, &colour_at, codebook)
     }
+}
+
+/// Whether a picture has few shades, from black to white: cameras blur edges, and make noise.
+fn is_drawing(shades: &[u16]) -> bool {
+    let mut seen = Vec::new();
+    for shade in shades {
+        if !seen.contains(shade) {
+            seen.push(*shade);
+            if seen.len() > MOST_DRAWN {
+                return false;
+            }
+        }
+    }
+    seen.iter().any(|shade| *shade < 0x1000) && seen.iter().any(|shade| *shade > 0xf000)
 }
 
 /// Reads photographs as they come into a folder, on a thread of its own, until it is dropped.
@@ -189,5 +211,19 @@ impl Drop for Watch {
             // A photograph that is being read is finished first.
             let _ = thread.join();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn drawings_have_few_shades_from_black_to_white_and_photographs_many() {
+        assert!(is_drawing(&[0, 0xffff, 0x8000, 0xffff, 0]));
+        // Too dark, too bright, or with blurred edges.
+        assert!(!is_drawing(&[0, 0x300, 0x500]) && !is_drawing(&[0xffff; 9]) && !is_drawing(&[]));
+        let shades: Vec<u16> = (0..=255).map(|shade| shade * 257).collect();
+        assert!(!is_drawing(&shades));
     }
 }
