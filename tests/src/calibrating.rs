@@ -273,11 +273,11 @@ fn a_wrong_radius_angle_or_edge_is_refused_with_the_value_that_fits() {
         if name == "fold" {
             let faults = judged(Surface::Fold { at_m: 1.1, angle: 120.0 }).faults;
             assert!(faults.iter().any(|fault| fault.contains("at_m = 1.1 does not fit")), "{faults:?}");
-            // From one place, any angle fits.
-            let one: Vec<Reading> = readings[..plan.n_patterns() as usize].to_vec();
-            let Verdict { found, .. } = judge(&rig.wall, &plan, &one, None);
-            assert!(found.iter().any(|line| line.contains("do not tell the angle")), "{found:?}");
         }
+        // From one place, other shapes fit as well.
+        let one: Vec<Reading> = readings[..plan.n_patterns() as usize].to_vec();
+        let faults = judge(&rig.wall, &plan, &one, None).faults;
+        assert!(faults.iter().any(|fault| fault.contains("from one place")), "{name}: {faults:?}");
     }
 }
 
@@ -410,7 +410,8 @@ fn patterns_on_the_wall_follow_the_photographs_and_the_wall_shows_what_was_found
         for pattern in 1..=2 {
             wait_until("a pattern is seen", || session.screenshot().brighter_than(200) > 0.1);
             let shown = session.steady_screenshot();
-            image_of(&shown).save(photos.join(format!("{run}-{pattern}.png"))).unwrap();
+            // Without a blur it would be a drawing.
+            image::imageops::blur(&image_of(&shown), 0.6).save(photos.join(format!("{run}-{pattern}.png"))).unwrap();
             program.wait_for(&format!("{run}-{pattern}.png shows pattern {pattern} on 2 of 2 projectors"));
             if pattern == 1 {
                 wait_until("the next pattern is seen", || session.screenshot().difference(&shown, 30) > 0.05);

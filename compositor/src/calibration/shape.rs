@@ -120,7 +120,9 @@ fn size(wall: &Wall, surface: Surface, solution: &BentSolution) -> f64 {
 
 fn parallax_fault(parallax_deg: f64) -> String {
     format!(
-        "photographs are from one place, or from places within {parallax_deg:.0} degrees as seen from the wall, and tell the          shape of a wall that is not flat only from {LEAST_PARALLAX_DEG} degrees on: walk about, and take some from two more          places, to the left and to the right"
+        "photographs are from one place, or from places within {parallax_deg:.0} degrees as seen from the wall, and tell the \
+         shape of a wall that is not flat only from {LEAST_PARALLAX_DEG} degrees on: walk about, and take some from two more \
+         places, to the left and to the right"
     )
 }
 
