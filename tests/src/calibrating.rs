@@ -411,7 +411,7 @@ fn patterns_on_the_wall_follow_the_photographs_and_the_wall_shows_what_was_found
             wait_until("a pattern is seen", || session.screenshot().brighter_than(200) > 0.1);
             let shown = session.steady_screenshot();
             // Without a blur it would be a drawing.
-            image::imageops::blur(&image_of(&shown), 0.6).save(photos.join(format!("{run}-{pattern}.png"))).unwrap();
+            image::imageops::blur(&image_of(&shown), 1.0).save(photos.join(format!("{run}-{pattern}.png"))).unwrap();
             program.wait_for(&format!("{run}-{pattern}.png shows pattern {pattern} on 2 of 2 projectors"));
             if pattern == 1 {
                 wait_until("the next pattern is seen", || session.screenshot().difference(&shown, 30) > 0.05);

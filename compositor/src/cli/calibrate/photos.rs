@@ -37,8 +37,8 @@ const MOST_PHOTOS: usize = 900;
 const MOST_PIXELS: u64 = 64_000_000;
 /// The longest file of so many pixels: three times 16 bits each, and as much again.
 const MOST_BYTES: u64 = 12 * MOST_PIXELS;
-/// The most shades of a drawing: patterns of light have about ten.
-const MOST_DRAWN: usize = 24;
+/// The most shades of a drawing: patterns that show places are black and white.
+const MOST_DRAWN: usize = 4;
 /// How often a folder is looked at; a file is complete if it has not grown since the last time, and is read again if it has
 /// another length later.
 const WATCH_INTERVAL: Duration = Duration::from_millis(300);
