@@ -202,7 +202,7 @@ fn photographs_that_tell_no_light_are_named_and_nothing_is_believed() {
     let person = Some([DVec2::new(0.3, 0.1), DVec2::new(0.5, 1.0)]);
     let LightVerdict { faults, .. } = judge_light(aligned, &light_by(&cameras[0], person));
     for name in ["row 1 column 2", "row 2 column 2"] {
-        let names = |fault: &String| fault.contains(&format!("% of \"{name}\" was measured, and 80 % is needed"));
+        let names = |fault: &String| fault.contains(&format!("% of \"{name}\" was measured, and 90 % is needed"));
         assert!(faults.iter().any(names), "{name}: {faults:?}");
     }
     // Nobody stands before the right column.

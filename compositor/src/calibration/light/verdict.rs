@@ -32,7 +32,7 @@ const LARGEST_GAMMA_ERROR: f64 = 0.015;
 /// White has at most so much more light than red, green and blue together.
 const LARGEST_EXCESS: f64 = 0.06;
 /// The part of a projector's field in which squares must be seen.
-const LEAST_COVERED: f64 = 0.8;
+const LEAST_COVERED: f64 = 0.9;
 /// Blacks of this size or less cannot be told from none.
 const LEAST_BLACK: f64 = 1e-5;
 
