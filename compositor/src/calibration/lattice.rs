@@ -37,6 +37,9 @@ const MOST_WIDE_SEARCHES: usize = 500;
 const USUAL_SIDE: f64 = 100.0;
 /// A crossing lies within this distance of where its neighbours let expect it, as a part of a square's side.
 const TOLERANCE: f64 = 0.22;
+/// The steps along both lines of a crossing differ by no more than this factor: where the next crossings of one line are missing,
+/// those three squares away look like them.
+const LARGEST_SLANT: f64 = 2.4;
 /// Neighbours' lines agree within an angle of this sine.
 const LARGEST_TURN: f64 = 0.3;
 /// Dot and square differ by this part of the contrast between squares at least.
@@ -103,7 +106,7 @@ fn are_neighbours(a: &Crossing, b: &Crossing) -> bool {
     a.white.dot(b.white).abs() < 0.6 && goes_on(a.lines[0]) && goes_on(a.lines[1])
 }
 
-/// The steps to the next crossings along both lines, if there is one on each side.
+/// The steps to the next crossings along both lines, if there is one on each side, and squares are not far longer than wide.
 fn steps_from(crossings: &[Crossing], index: &Index<'_>, seed: usize, reach: f64) -> Option<[DVec2; 2]> {
     let own = &crossings[seed];
     let nearest = |direction: DVec2| {
@@ -130,7 +133,8 @@ fn steps_from(crossings: &[Crossing], index: &Index<'_>, seed: usize, reach: f64
     if first.perp_dot(second) < 0.0 {
         second = -second;
     }
-    Some([first, second])
+    let slant = first.length() / second.length();
+    (LARGEST_SLANT.recip()..=LARGEST_SLANT).contains(&slant).then_some([first, second])
 }
 
 /// Follows lines from crossing to crossing.
@@ -212,5 +216,29 @@ impl Reading {
         let far = [0.2, 0.8];
         let square = far.iter().flat_map(|&t| far.map(|s| at(s, t))).sum::<f64>() / 4.0;
         Self { centre, square }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_crossing_whose_neighbours_on_one_line_are_missing_begins_no_lattice() {
+        let crossing = |place: IVec2| {
+            let white = DVec2::new(1.0, if (place.x + place.y) % 2 == 0 { 1.0 } else { -1.0 }).normalize();
+            let at = place.as_dvec2() * DVec2::new(38.0, 20.0);
+            Crossing { at, white, lines: [DVec2::X, DVec2::Y], strength: 1.0 }
+        };
+        let places = (0..9).flat_map(|row| (0..9).map(move |column| IVec2::new(column, row)));
+        let is_missing = |place: &IVec2| [IVec2::new(3, 4), IVec2::new(5, 4)].contains(place);
+        let places: Vec<IVec2> = places.filter(|place| !is_missing(place)).collect();
+        let crossings: Vec<Crossing> = places.iter().copied().map(crossing).collect();
+        let steps = |at: IVec2| {
+            let seed = places.iter().position(|place| *place == at).expect("it is there");
+            steps_from(&crossings, &Index::new(&crossings), seed, LONGEST_SIDE)
+        };
+        assert_eq!(steps(IVec2::new(4, 4)), None);
+        assert_eq!(steps(IVec2::new(4, 2)), Some([DVec2::new(38.0, 0.0), DVec2::new(0.0, 20.0)]));
     }
 }
