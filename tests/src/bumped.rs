@@ -109,6 +109,25 @@ fn a_second_projector_that_moved_is_found_too_and_too_many_are_refused() {
 }
 
 #[test]
+fn photographs_of_another_wall_among_the_right_ones_are_named() {
+    let mut it = Aligned::new();
+    it.bump(4, [0.012, -0.008]);
+    let right: Vec<Reading> =
+        [it.plan.whole_in(4), 0].map(|pattern| read(&mut it.rig, &it.plan, &it.camera, pattern)).into();
+    let mut other = Rig::new([3, 3], [384, 288], 0.04, "");
+    let mut strange = read(&mut other, &it.plan, &it.camera, 1);
+    strange.name = "strange.png".to_owned();
+    let all = [&right[..], &[strange]].concat();
+    let Verdict { wall, faults, .. } = judge_again(&it.rig.wall, &it.plan, &all);
+    assert!(faults.len() == 1 && faults[0].contains("take them out of the folder: strange.png"), "{faults:?}");
+    // All else is as if it were not there.
+    assert_eq!(it.changed(&wall.unwrap()), [4]);
+    // With no right one, none is named.
+    let Verdict { faults, .. } = judge_again(&it.rig.wall, &it.plan, &all[2..]);
+    assert!(faults[0].contains("do not lie where the file has them") && !faults[0].contains("strange"), "{faults:?}");
+}
+
+#[test]
 fn projectors_that_no_photograph_shows_are_not_taken_for_unmoved() {
     let mut it = Aligned::new();
     it.bump(4, [0.012, -0.008]);

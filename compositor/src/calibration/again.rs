@@ -8,6 +8,8 @@
 //! the first to go may have been pulled by others (least trimmed squares in spirit: Rousseeuw 1984). Fewer than half of the
 //! projectors may have moved, since they would outvote the others.
 
+use std::collections::HashSet;
+
 use glam::{DMat3, DVec2, DVec3};
 
 use super::{
@@ -81,15 +83,16 @@ pub fn judge_again(wall: &Wall, plan: &Plan, readings: &[Reading]) -> Verdict {
         solve_from(&known, shots)
     };
     let limit = limit(noise_px(&shots));
-    let tried = |has_moved: &[bool]| {
-        let solution = solve(has_moved, &shots);
+    let tried = |has_moved: &[bool], shots: &[Shot]| {
+        let solution = solve(has_moved, shots);
         let of = |index: usize| match has_moved[index] {
-            true => (solution.fits[index], distances(index, all[index], &shots, &solution)),
+            true => (solution.fits[index], distances(index, all[index], shots, &solution)),
             false => (solution.fits[index], [solution.fits[index].median_px, solution.fits[index].p95_px]),
         };
         (0..n_projectors).map(of).collect::<Vec<_>>()
     };
-    let has_moved = moved(n_projectors, limit, false, &tried);
+    let (has_moved, strangers) = moved_without_strangers(n_projectors, limit, false, &shots, &tried);
+    let faults = strangers_fault(readings, &mut shots, &strangers).into_iter().collect();
     // Photographs that do not fit are told from projectors that have moved only now.
     let solution = solved_without_misfits(readings, &mut shots, &mut found, &|shots| solve(&has_moved, shots));
     let outcome = |index: usize| {
@@ -100,7 +103,7 @@ pub fn judge_again(wall: &Wall, plan: &Plan, readings: &[Reading]) -> Verdict {
         });
         Outcome { finding: finding(wall, plan, &solution, index), mended }
     };
-    judged(wall, plan, &shots, &has_moved, found, &outcome)
+    judged(wall, plan, &shots, &has_moved, (found, faults), &outcome)
 }
 
 /// A projector as a solution shows it.
@@ -113,16 +116,70 @@ pub(super) struct Outcome {
 /// How well a projector fits, and how far half and nineteen of twenty of its points lie from where the file has them.
 pub(super) type Tried = (Fit, [f64; 2]);
 
+/// What these shots tell of all projectors while some count as moved.
+pub(super) type TriedBy<'a> = &'a dyn Fn(&[bool], &[Shot]) -> Vec<Tried>;
+
+/// Which projectors have moved, if `tried` tells all of them by some shots while some count as moved; and the shots that do
+/// not belong.
+///
+/// Where too many seem to have moved, each shot is judged by itself: those in which most projectors lie where the file has
+/// them tell which have moved, and all others in which the rest lie elsewhere are strangers.
+pub(super) fn moved_without_strangers(
+    n_projectors: usize,
+    limit: f64,
+    tries_each: bool,
+    shots: &[Shot],
+    tried: TriedBy<'_>,
+) -> (Vec<bool>, Vec<usize>) {
+    let moved_in = |shots: &[Shot]| moved(n_projectors, limit, tries_each, &|has_moved| tried(has_moved, shots));
+    let shows_wall = |has_moved: &[bool], shots: &[Shot]| {
+        let seen: HashSet<usize> = shots.iter().flat_map(|it| &it.sightings).map(|it| it.projector_idx).collect();
+        let n_moved = has_moved.iter().filter(|has_moved| **has_moved).count();
+        seen.len() >= LEAST_PROJECTORS && 2 * n_moved < seen.len()
+    };
+    let has_moved = moved_in(shots);
+    if shows_wall(&has_moved, shots) {
+        return (has_moved, Vec::new());
+    }
+    let belongs: Vec<bool> = shots.chunks(1).map(|shot| shows_wall(&moved_in(shot), shot)).collect();
+    let of = |belongs: &[bool]| -> Vec<Shot> {
+        std::iter::zip(shots, belongs).filter(|(_, belongs)| **belongs).map(|(shot, _)| shot.clone()).collect()
+    };
+    if !belongs.contains(&true) {
+        return (has_moved, Vec::new());
+    }
+    let has_moved = moved_in(&of(&belongs));
+    let is_strange = |shot: &[Shot]| {
+        let away = tried(&has_moved, shot);
+        let is_off =
+            |((fit, away), has_moved): (&Tried, &bool)| !has_moved && fit.n_points > 0 && !agrees(*away, limit);
+        std::iter::zip(&away, &has_moved).any(is_off)
+    };
+    let is_kept: Vec<bool> =
+        std::iter::zip(shots.chunks(1), belongs).map(|(shot, belongs)| belongs || !is_strange(shot)).collect();
+    (moved_in(&of(&is_kept)), (0..shots.len()).filter(|index| !is_kept[*index]).collect())
+}
+
+/// Leaves out shots that do not belong, and a fault that names them.
+pub(super) fn strangers_fault(readings: &[Reading], shots: &mut [Shot], strangers: &[usize]) -> Option<String> {
+    strangers.iter().for_each(|index| shots[*index].sightings.clear());
+    let names: Vec<&str> = strangers.iter().map(|index| readings[*index].name.as_str()).collect();
+    (!names.is_empty()).then(|| {
+        format!(
+            "{} of {} photographs, by themselves, do not show the wall as the file has it, while others do: they are of another \
+             wall or another time, or were turned, cropped or stretched: take them out of the folder: {}",
+            names.len(),
+            readings.len(),
+            names.join(", ")
+        )
+    })
+}
+
 /// Which projectors have moved, if `tried` tells all of them while some count as moved.
 ///
 /// Those that count as unmoved pull at the camera; where few projectors make a wall, one that has moved may pull so hard that
 /// others seem to have moved. If `tries_each`, each is let go in turn, and that counts without which the others agree best.
-pub(super) fn moved(
-    n_projectors: usize,
-    limit: f64,
-    tries_each: bool,
-    tried: &dyn Fn(&[bool]) -> Vec<Tried>,
-) -> Vec<bool> {
+fn moved(n_projectors: usize, limit: f64, tries_each: bool, tried: &dyn Fn(&[bool]) -> Vec<Tried>) -> Vec<bool> {
     let mut has_moved = vec![false; n_projectors];
     let mut away = tried(&has_moved);
     let by_median = |a: &usize, b: &usize, away: &[Tried]| away[*a].1[0].total_cmp(&away[*b].1[0]);
@@ -167,10 +224,10 @@ pub(super) fn judged(
     plan: &Plan,
     shots: &[Shot],
     has_moved: &[bool],
-    mut found: Vec<String>,
+    (mut found, mut faults): (Vec<String>, Vec<String>),
     outcome: &dyn Fn(usize) -> Outcome,
 ) -> Verdict {
-    let (mut faults, mut projectors) = (Vec::new(), Vec::new());
+    let mut projectors = Vec::new();
     let mut new_projectors = wall.projectors().to_vec();
     let names = |indices: &[usize]| {
         let names: Vec<&str> = indices.iter().map(|index| wall.projectors()[*index].name.as_str()).collect();
@@ -185,7 +242,8 @@ pub(super) fn judged(
     } else if n_moved > 0 && 2 * n_moved >= n_seen {
         faults.push(format!(
             "{n_moved} of {n_seen} projectors that are seen do not lie where the file has them, and fewer than half may have \
-             moved: photograph the whole wall, or align it anew, without --again"
+             moved: photograph the whole of this wall, and leave photographs as the camera made them, or align it anew, \
+             without --again"
         ));
     }
     let all_names: Vec<&str> = wall.projectors().iter().map(|projector| projector.name.as_str()).collect();

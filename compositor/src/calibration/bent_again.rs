@@ -4,7 +4,7 @@
 //! `again`; one that has moved is a matrix again, and gets a new mesh where the canvas lies as before.
 
 use super::{
-    again::{Outcome, judged, limit, moved},
+    again::{Outcome, judged, limit, moved_without_strangers, strangers_fault},
     bent::BentSolution,
     bent_verdict::{finding, layouts, solved},
     finding::Finding,
@@ -34,14 +34,15 @@ pub(super) fn judge(wall: &Wall, surface: Surface, plan: &Plan, readings: &[Read
     // A part of the points tells which have moved.
     let few: Vec<Shot> = shots.iter().map(|shot| shot.thinned(FEW)).collect();
     let limit = limit(noise_px(&shots));
-    let tried = |has_moved: &[bool]| {
-        let solution = solve(has_moved, &few);
+    let tried = |has_moved: &[bool], shots: &[Shot]| {
+        let solution = solve(has_moved, shots);
         let away =
             |index: usize| solution.as_ref().map_or([f64::INFINITY; 2], |it| it.distances(index, &in_file[index]));
         let both = fits(solution.as_ref()).into_iter().enumerate();
         both.map(|(index, fit)| (fit, away(index))).collect::<Vec<_>>()
     };
-    let has_moved = moved(n_projectors, limit, true, &tried);
+    let (has_moved, strangers) = moved_without_strangers(n_projectors, limit, true, &few, &tried);
+    let faults = strangers_fault(readings, &mut shots, &strangers).into_iter().collect();
     let mut solution = solve(&has_moved, &shots);
     // Photographs that do not fit are told from projectors that have moved only now.
     while let Some(worst) = solution.as_ref().and_then(|it| misfit(&it.shot_medians_px)) {
@@ -59,5 +60,5 @@ pub(super) fn judge(wall: &Wall, surface: Surface, plan: &Plan, readings: &[Read
             mended: mended.map(|mended| (mended, by_px, "its pixels move by up to")),
         }
     };
-    judged(wall, plan, &shots, &has_moved, found, &outcome)
+    judged(wall, plan, &shots, &has_moved, (found, faults), &outcome)
 }
