@@ -128,6 +128,26 @@ fn photographs_of_another_wall_among_the_right_ones_are_named() {
 }
 
 #[test]
+fn on_a_wall_that_is_not_flat_a_turned_photograph_is_named() {
+    let cylinder = "[surface.cylinder]\nradius_m = 2.0\nat_m = 1.5707963267948966\n";
+    let mut it = Bent::new(bent::cylinder([384, 288], [cylinder, HUNG]), [33, 25]);
+    let all: Vec<u32> = (0..it.plan.n_patterns()).collect();
+    let mut readings: Vec<Reading> =
+        all.iter().map(|pattern| read(&mut it.rig, &it.plan, &it.camera, *pattern)).collect();
+    let shot = &mut readings.last_mut().unwrap().shot;
+    let rows = shot.size[1] as f64;
+    shot.size.reverse();
+    for [_, at] in shot.sightings.iter_mut().flat_map(|it| &mut it.points) {
+        *at = DVec2::new(rows - at.y, at.x);
+    }
+    let name = readings.last().unwrap().name.clone();
+    let line = format!("{name} has 1200×1700 pixels where others have 1700×1200, and does not count");
+    for verdict in [judge_again(&it.rig.wall, &it.plan, &readings), judge(&it.rig.wall, &it.plan, &readings, None)] {
+        assert!(verdict.found.iter().any(|it| it.contains(&line)), "{:?}", verdict.found);
+    }
+}
+
+#[test]
 fn projectors_that_no_photograph_shows_are_not_taken_for_unmoved() {
     let mut it = Aligned::new();
     it.bump(4, [0.012, -0.008]);

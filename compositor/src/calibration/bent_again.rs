@@ -6,7 +6,7 @@
 use super::{
     again::{Outcome, judged, limit, moved_without_strangers, strangers_fault},
     bent::BentSolution,
-    bent_verdict::{finding, layouts, solved},
+    bent_verdict::{finding, layouts, solved, without_other_sizes},
     finding::Finding,
     noise::noise_px,
     pattern::Plan,
@@ -23,6 +23,8 @@ const FEW: usize = 150;
 pub(super) fn judge(wall: &Wall, surface: Surface, plan: &Plan, readings: &[Reading]) -> Verdict {
     let n_projectors = wall.projectors().len();
     let (mut shots, mut found) = without_reflections(wall, readings);
+    let names: Vec<&str> = readings.iter().map(|reading| reading.name.as_str()).collect();
+    found.extend(without_other_sizes(&names, &mut shots));
     let solve = |has_moved: &[bool], shots: &[Shot]| {
         let is_held: Vec<bool> = has_moved.iter().map(|has_moved| !has_moved).collect();
         solved(wall, surface, shots, &is_held)
@@ -47,7 +49,7 @@ pub(super) fn judge(wall: &Wall, surface: Surface, plan: &Plan, readings: &[Read
     // Photographs that do not fit are told from projectors that have moved only now.
     while let Some(worst) = solution.as_ref().and_then(|it| misfit(&it.shot_medians_px)) {
         let by_px = solution.as_ref().map_or(f64::INFINITY, |it| it.shot_medians_px[worst]);
-        found.push(misfit_line(&readings[worst].name, by_px));
+        found.push(misfit_line(names[worst], by_px));
         shots[worst].sightings.clear();
         solution = solve(&has_moved, &shots);
     }

@@ -24,7 +24,9 @@ pub(super) fn judge(
     (names, mut shots): (&[&str], Vec<Shot>),
     placement: Option<&Placement>,
 ) -> Verdict {
-    let (mut found, mut faults) = (Vec::new(), Vec::new());
+    let mut faults = Vec::new();
+    let all_shots = shots.clone();
+    let mut found = without_other_sizes(names, &mut shots);
     let nothing = |found, faults| Verdict { wall: None, found, faults, projectors: Vec::new() };
     let has_meshes = wall.projectors().iter().any(|projector| projector.mesh.is_some());
     let is_kept = match placement {
@@ -43,7 +45,6 @@ pub(super) fn judge(
         faults.push("no photograph shows enough of the patterns: are the projectors on, and is it sharp?".into());
         return nothing(found, faults);
     };
-    let all_shots = shots.clone();
     while let Some(worst) = misfit(&solution.shot_medians_px) {
         found.push(misfit_line(names[worst], solution.shot_medians_px[worst]));
         shots[worst].sightings.clear();
@@ -93,6 +94,29 @@ pub(super) fn judge(
         faults.push(format!("{error}: does the file's layout agree with the wall?"));
     });
     Verdict { wall: new_wall.ok().filter(|_| is_changed), found, faults, projectors: findings }
+}
+
+/// Leaves out shots of another size than most, and has a line on each: all share a lens here.
+pub(super) fn without_other_sizes(names: &[&str], shots: &mut [Shot]) -> Vec<String> {
+    let n_points = |size: [usize; 2]| -> usize {
+        let sightings = shots.iter().filter(|shot| shot.size == size).flat_map(|shot| &shot.sightings);
+        sightings.map(|sighting| sighting.points.len()).sum()
+    };
+    let Some([columns, rows]) = shots.iter().map(|shot| shot.size).max_by_key(|size| n_points(*size)) else {
+        return Vec::new();
+    };
+    let mut lines = Vec::new();
+    for (shot, name) in shots.iter_mut().zip(names) {
+        let [own_columns, own_rows] = shot.size;
+        if shot.size != [columns, rows] && !shot.sightings.is_empty() {
+            shot.sightings.clear();
+            lines.push(format!(
+                "{name} has {own_columns}×{own_rows} pixels where others have {columns}×{rows}, and does not count: on a wall \
+                 that is not flat, all photographs must be of one camera at one zoom, none turned, cropped or scaled"
+            ));
+        }
+    }
+    lines
 }
 
 /// Solves a wall of which these projectors are held where the file has them.
