@@ -9,8 +9,8 @@ use crate::{
     simd::{Kernel, Simd},
     texture::{
         footprint::{self, FootprintLanes, Footprints},
-        level::{blocks_per_row, column_offset, halved, neighbours, row_offset},
-        mip_map::{MOST_LEVELS, MipMap},
+        level::{Level, blocks_per_row, column_offset, halved, neighbours, row_offset},
+        mip_map::MipMap,
         texel::{Texel, UNITS},
     },
 };
@@ -41,9 +41,9 @@ struct Plans {
     n_lookups: [u32; 64],
 }
 
-/// The numbers of samples, in their order.
-const SAMPLES: [u32; 64] = {
-    let mut samples = [0; 64];
+/// The numbers of samples, in their order, with room for a vector after the last.
+const SAMPLES: [u32; 64 + 16] = {
+    let mut samples = [0; 64 + 16];
     let mut sample = 0;
     while sample < 64 {
         samples[sample] = sample as u32;
@@ -61,18 +61,13 @@ impl Kernel for Means<'_> {
     #[inline(always)]
     fn run<S: Simd>(self) {
         let mut plans = self.plans();
-        let n = self.footprints.n;
-        let order = plans.order::<S>();
-        // Where a surface is flat, all samples of a tile need about as many lookups, and moving them would save nothing.
-        let is_sorted = plans.n_steps_sorted(&order[..n]) < plans.n_steps();
-        let order = if is_sorted { &order[..n] } else { &SAMPLES[..n] };
-        if is_sorted {
-            plans.sort(order);
+        let (mut order, n) = (SAMPLES, self.footprints.n);
+        if plans.would_save_steps() {
+            order = plans.order::<S>();
+            plans.sort(&order[..n]);
         }
-        let firsts = from_fn(|level| self.map.levels.get(level).map_or(0, |level| level.first));
-        for (first, samples) in (0..).step_by(N).zip(order.chunks(N)) {
-            let [red, green, blue] =
-                plans.lanes(first, self.map.levels[0].size, &firsts).lights::<S>(self.map, self.wrap);
+        for (first, samples) in (0..).step_by(N).zip(order[..n].chunks(N)) {
+            let [red, green, blue] = plans.lanes(first, &self.map.levels).lights::<S>(self.map, self.wrap);
             for (lane, &sample) in samples.iter().enumerate() {
                 self.means[sample as usize % 64] = Vec3A::new(red[lane], green[lane], blue[lane]);
             }
@@ -130,8 +125,7 @@ impl Plans {
     /// The samples by their number of lookups, the most first: lanes that are done together have about as many.
     #[inline(always)]
     fn order<S: Simd>(&self) -> [u32; 64 + 16] {
-        // With room for a vector after the last.
-        let (mut order, mut n) = ([0; 64 + 16], 0);
+        let (mut order, mut n) = (SAMPLES, 0);
         for n_lookups in (1..=MOST_LOOKUPS).rev() {
             for first in (0..64).step_by(S::LANES) {
                 let mask = S::eq_mask(&self.n_lookups[first..], n_lookups);
@@ -141,16 +135,14 @@ impl Plans {
         order
     }
 
-    /// Lookups that are done one after the other, of [`N`] samples at once.
+    /// Whether sorted samples would need fewer steps, in each of which [`N`] do a lookup: those that need as many lookups as both
+    /// halves do would fill one half. Where a surface is flat, all samples of a tile need about as many.
     #[inline(always)]
-    fn n_steps(&self) -> u32 {
-        self.n_lookups.chunks(N).map(|n_lookups| n_lookups.iter().copied().max().unwrap_or(0)).sum()
-    }
-
-    /// [`Plans::n_steps`] of samples that are sorted, the most lookups first.
-    #[inline(always)]
-    fn n_steps_sorted(&self, order: &[u32]) -> u32 {
-        order.iter().step_by(N).map(|&sample| self.n_lookups[sample as usize % 64]).sum()
+    fn would_save_steps(&self) -> bool {
+        let (first, second) = self.n_lookups.split_at(N);
+        let most = |half: &[u32]| half.iter().copied().max().unwrap_or(0);
+        let of_both = most(first).min(most(second));
+        self.n_lookups.iter().map(|&n_lookups| u32::from(n_lookups >= of_both)).sum::<u32>() <= N as u32
     }
 
     #[inline(always)]
@@ -169,7 +161,7 @@ impl Plans {
 
     /// The plans of [`N`] samples.
     #[inline(always)]
-    fn lanes(&self, first: usize, size: [u32; 2], firsts: &[u32; MOST_LEVELS + 1]) -> PlanLanes {
+    fn lanes(&self, first: usize, of_map: &[Level]) -> PlanLanes {
         let (levels, parts): ([u32; N], [f32; N]) = (lanes(&self.level, first), lanes(&self.part_of_next, first));
         let mut plans = PlanLanes {
             first: [lanes(&self.first[0], first), lanes(&self.first[1], first)],
@@ -180,14 +172,21 @@ impl Plans {
             firsts: [[0; N]; 2],
             n_lookups: lanes(&self.n_lookups, first),
         };
-        for (lane, level) in levels.into_iter().enumerate() {
-            let level = level as usize % MOST_LEVELS;
-            (plans.firsts[0][lane], plans.firsts[1][lane]) = (firsts[level], firsts[level + 1]);
+        // Most samples of a tile show one or two levels, and a comparison for each of these is faster than a search by sample.
+        let [finest, coarsest] = [levels.into_iter().min(), levels.into_iter().max()].map(|level| level.unwrap_or(0));
+        for level in finest..=coarsest {
+            let pair = [level, level + 1].map(|level| of_map.get(level as usize).map_or(0, |level| level.first));
+            for (firsts, of_level) in plans.firsts.iter_mut().zip(pair) {
+                for lane in 0..N {
+                    firsts[lane] = select(levels[lane] == level, firsts[lane], of_level);
+                }
+            }
         }
         for (lane, part) in parts.into_iter().enumerate() {
             let weight = 1.0 / plans.n_squares[lane] as i32 as f32;
             (plans.weights[0][lane], plans.weights[1][lane]) = (weight * (1.0 - part), weight * part);
         }
+        let size = of_map[0].size;
         for (next, sizes) in plans.sizes.iter_mut().enumerate() {
             for lane in 0..N {
                 let level = levels[lane] + next as u32;

@@ -251,41 +251,46 @@ impl TracedMaterials {
         (samples, footprints): (&[usize], &Footprints),
         points: &mut [Option<PointMaterial>; 64],
     ) {
-        let Some(material) = self.materials.get(index) else { return };
-        samples.iter().for_each(|&sample| points[sample] = Some(material.plain));
-        if !footprints.is_empty() && material.has_textures() {
-            self.multiply(instructions, material, footprints, samples, points);
+        let Some(TracedMaterial { plain, base_color_texture, gloss_texture, emissive_texture, .. }) =
+            self.materials.get(index)
+        else {
+            return;
+        };
+        let mut means = [Vec3A::ONE; 64];
+        self.look_up(instructions, base_color_texture.as_ref(), footprints, &mut means);
+        for (&sample, &mean) in samples.iter().zip(&means) {
+            points[sample] = Some(PointMaterial { base_color: plain.base_color * mean, ..*plain });
         }
-    }
-
-    /// Multiplies materials by their textures; `samples` are those of the footprints.
-    fn multiply(
-        &self,
-        instructions: InstructionSet,
-        material: &TracedMaterial,
-        footprints: &Footprints,
-        samples: &[usize],
-        points: &mut [Option<PointMaterial>; 64],
-    ) {
-        let mut means = [Vec3A::ZERO; 64];
-        for (kind, texture) in material.textures().into_iter().enumerate() {
-            let Some(Texture { index, wrap, transform }) = texture else { continue };
-            let map = &self.maps[*index];
-            // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-            unsafe { instructions.call(Means { map, wrap: *wrap, transform, footprints, means: &mut means }) };
-            for (mean, &sample) in means[..footprints.n].iter().zip(samples) {
-                let Some(point) = &mut points[sample] else { continue };
-                match (kind, &mut point.finish) {
-                    (0, _) => point.base_color *= *mean,
-                    (1, Finish::Glossy { roughness, metallic }) => {
-                        *roughness *= mean.y;
-                        *metallic *= mean.z;
-                    }
-                    (1, Finish::Matte | Finish::Unlit) => {}
-                    _ => point.emissive *= *mean,
+        if self.look_up(instructions, gloss_texture.as_ref(), footprints, &mut means) {
+            for (&sample, mean) in samples.iter().zip(&means) {
+                if let Some(PointMaterial { finish: Finish::Glossy { roughness, metallic }, .. }) = &mut points[sample] {
+                    *roughness *= mean.y;
+                    *metallic *= mean.z;
                 }
             }
         }
+        if self.look_up(instructions, emissive_texture.as_ref(), footprints, &mut means) {
+            for (&sample, &mean) in samples.iter().zip(&means) {
+                if let Some(point) = &mut points[sample] {
+                    point.emissive *= mean;
+                }
+            }
+        }
+    }
+
+    /// Finds the means of a texture over footprints; says whether there are any.
+    fn look_up(
+        &self,
+        instructions: InstructionSet,
+        texture: Option<&Texture>,
+        footprints: &Footprints,
+        means: &mut [Vec3A; 64],
+    ) -> bool {
+        let Some(Texture { index, wrap, transform }) = texture.filter(|_| !footprints.is_empty()) else { return false };
+        let map = &self.maps[*index];
+        // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
+        unsafe { instructions.call(Means { map, wrap: *wrap, transform, footprints, means }) };
+        true
     }
 
     /// Whether a triangle's surface is missing at a point; `coordinates` is called if its material has a mask with a texture.
@@ -312,10 +317,6 @@ impl TracedMaterials {
 impl TracedMaterial {
     fn textures(&self) -> [Option<&Texture>; 3] {
         [self.base_color_texture.as_ref(), self.gloss_texture.as_ref(), self.emissive_texture.as_ref()]
-    }
-
-    fn has_textures(&self) -> bool {
-        self.textures().iter().any(Option::is_some)
     }
 }
 

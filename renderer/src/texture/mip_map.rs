@@ -78,9 +78,6 @@ impl MipMap {
     }
 }
 
-/// Most levels of an image: sides have less than 2³¹ texels.
-pub(super) const MOST_LEVELS: usize = 32;
-
 /// The levels of an image.
 fn levels(of_image: [u32; 2]) -> impl Iterator<Item = Level> {
     let size = move |level| of_image.map(|n| halved(n, level));
