@@ -314,6 +314,7 @@ fn the_program_reads_a_folder_and_keeps_the_old_file() {
         let grey = image::DynamicImage::ImageRgb8(image::RgbImage::from_pixel(64, 48, image::Rgb([90; 3])));
         grey.write_to(&mut std::io::Cursor::new(&mut cut), image::ImageFormat::Jpeg).unwrap();
         fs::write(photos.join("cut.jpg"), &cut[..cut.len() - 2]).unwrap();
+        fs::write(photos.join("empty.jpg"), b"").unwrap();
         fs::write(photos.join("notes.txt"), b"no photograph").unwrap();
     };
     let run = |arguments: &[&str]| {
@@ -326,7 +327,7 @@ fn the_program_reads_a_folder_and_keeps_the_old_file() {
     let (code, said) = run(&[]);
     assert_eq!(code, Some(1), "{said}");
     assert!(said.contains("broken.jpg cannot be read") && said.contains("--force"), "{said}");
-    assert!(said.contains("cut.jpg is cut off"), "{said}");
+    assert!(said.contains("cut.jpg is cut off") && said.contains("empty.jpg is empty"), "{said}");
     assert!(said.contains("fault: \"row 1 column 2\" is in no photograph"), "{said}");
     assert_eq!(fs::read_to_string(&file).unwrap(), text);
     take(&mut rig, &[]);

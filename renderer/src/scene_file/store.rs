@@ -107,7 +107,9 @@ impl SceneStore {
 
     /// The scene file of a model in the cache.
     fn cached(&self, model: &Path, crease: Crease) -> Option<(PathBuf, SceneFile)> {
-        self.cache.as_ref()?.paths(model, crease).find_map(|path| open_cached(&path, model).map(|file| (path, file)))
+        // Whoever loads the scene tells of faults.
+        let open = |path: PathBuf| open_cached(&path, model).ok().flatten().map(|file| (path, file));
+        self.cache.as_ref()?.paths(model, crease).find_map(open)
     }
 
     /// The cache, if there is one; else why not, and the cure.
@@ -212,9 +214,10 @@ impl SceneStore {
         let path = cache.path(model, crease, options);
         let before = Stamp::at(&path);
         let find = || {
-            let file = open_cached(&path, model).filter(|file| file.suits(options.memory_budget))?;
-            let scene = self.take(file, &path, None, &|done| report(Stage::Checking, done));
-            let scene = scene.inspect_err(|fault| tell_of_rebuild(&path, model, fault)).ok()?;
+            let tell = |fault: &Fault| tell_of_rebuild(&path, model, fault);
+            let file = open_cached(&path, model).inspect_err(tell).ok().flatten();
+            let file = file.filter(|file| file.suits(options.memory_budget))?;
+            let scene = self.take(file, &path, None, &|done| report(Stage::Checking, done)).inspect_err(tell).ok()?;
             Cache::touch(&path);
             Some(scene)
         };
@@ -378,17 +381,14 @@ fn open_named(path: &Path, crease: Crease) -> Result<SceneFile, SceneFileError> 
 }
 
 /// The file of a model's scene in the cache, if it is there, and neither the model nor the program has changed since.
-fn open_cached(path: &Path, model: &Path) -> Option<SceneFile> {
+fn open_cached(path: &Path, model: &Path) -> Result<Option<SceneFile>, Fault> {
     match SceneFile::open(path) {
         Ok(file) => {
             let is_current = file.record.sources.as_ref().is_some_and(|sources| sources.are_of(model));
-            Some(file).filter(|file| is_current && file.is_by_this_builder())
+            Ok(Some(file).filter(|file| is_current && file.is_by_this_builder()))
         }
-        Err(Fault::Io(error)) if error.kind() == io::ErrorKind::NotFound => None,
-        Err(fault) => {
-            tell_of_rebuild(path, model, &fault);
-            None
-        }
+        Err(Fault::Io(error)) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(fault) => Err(fault),
     }
 }
 

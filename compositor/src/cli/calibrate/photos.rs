@@ -87,6 +87,9 @@ impl Photo {
         if bytes.len() as u64 > MOST_BYTES {
             return Err(format!("{name} has more than {} MB: scale it down", MOST_BYTES / 1_000_000));
         }
+        if bytes.is_empty() {
+            return Err(format!("{name} is empty: it does not count; copy it again"));
+        }
         let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(|error| fault(&error))?;
         let is_jpeg = reader.format() == Some(ImageFormat::Jpeg);
         let mut decoder = reader.into_decoder().map_err(|error| fault(&error))?;
