@@ -263,7 +263,8 @@ impl TracedMaterials {
         }
         if self.look_up(instructions, gloss_texture.as_ref(), footprints, &mut means) {
             for (&sample, mean) in samples.iter().zip(&means) {
-                if let Some(PointMaterial { finish: Finish::Glossy { roughness, metallic }, .. }) = &mut points[sample] {
+                if let Some(PointMaterial { finish: Finish::Glossy { roughness, metallic }, .. }) = &mut points[sample]
+                {
                     *roughness *= mean.y;
                     *metallic *= mean.z;
                 }
