@@ -56,6 +56,7 @@ fn a_camera_on_a_tripod_aligns_projectors_however_they_hang() {
     let before = rig.agreement(&rig.wall);
     let Verdict { wall, found, faults, .. } = judge(&rig.wall, &plan, &readings, None);
     assert!(faults.is_empty(), "{faults:?}\n{found:#?}");
+    assert!(!found.iter().any(|line| is_off_throughout(line)), "{found:#?}");
     let after = rig.agreement(&wall.unwrap());
     assert!(before.apart_px[0] > 2.0, "{before:?}");
     assert!(after.apart_px[0] < 0.1 && after.apart_px[1] < 0.3 && after.bent_px < 0.3, "{after:?}");
@@ -84,6 +85,7 @@ fn a_phone_in_two_hands_joins_what_each_photograph_sees_in_any_order() {
     assert!(readings.iter().all(|reading| !reading.line(&rig.wall).contains("6 of 6")));
     let Verdict { wall, found, faults, .. } = judge(&rig.wall, &plan, &readings, None);
     assert!(faults.is_empty(), "{faults:?}\n{found:#?}");
+    assert!(!found.iter().any(|line| is_off_throughout(line)), "{found:#?}");
     let after = rig.agreement(&wall.unwrap());
     assert!(after.apart_px[0] < 0.15 && after.apart_px[1] < 0.5 && after.bent_px < 0.5, "{after:?}");
 }
@@ -222,6 +224,7 @@ fn a_cylinder_a_fold_and_domes_are_aligned_from_a_phone_s_photographs() {
         let readings = by_phone(&mut rig, &plan);
         let Verdict { wall, found, faults, .. } = judge(&rig.wall, &plan, &readings, None);
         assert!(faults.is_empty(), "{name}: {faults:?}\n{found:#?}");
+        assert!(!found.iter().any(|line| is_off_throughout(line)), "{name}: {found:#?}");
         let wall = wall.unwrap();
         let ([median, p99], stretched) = rig.agreement_of_meshes(&wall);
         println!("{name}: {median:.3} pixels apart, p99 {p99:.3}; distances change from {stretched:.4?}");
@@ -291,6 +294,20 @@ fn a_wall_of_another_shape_than_its_file_says_is_not_believed() {
     assert!(faults.iter().any(|fault| fault.contains("the shape that [surface] says")), "{faults:?}");
     let Verdict { wall, faults, .. } = judge(&rig.wall, &plan, &[], None);
     assert!(wall.is_none() && faults[0].contains("no photograph shows enough"), "{faults:?}");
+}
+
+#[test]
+fn a_wall_that_is_not_quite_flat_is_told() {
+    let mut rig = bent::nearly_flat([512, 384]);
+    let plan = Plan::of_wall(&rig.wall).unwrap();
+    let readings = by_phone(&mut rig, &plan);
+    // From one place, the bend looks like the lens's.
+    let Verdict { found, .. } = judge(&rig.wall, &plan, &readings[..plan.n_patterns() as usize], None);
+    assert!(found.iter().any(|line| is_off_throughout(line) && line.contains("not quite flat")), "{found:#?}");
+}
+
+fn is_off_throughout(line: &str) -> bool {
+    line.contains("pixels throughout")
 }
 
 #[test]

@@ -14,8 +14,8 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::{
     bent_again,
-    finding::Finding,
-    fitting::{median, quantile, with_unit_depth},
+    finding::{Finding, off_throughout},
+    fitting::{quantile, with_unit_depth},
     lens::Lens,
     noise::noise_px,
     pattern::Plan,
@@ -302,22 +302,15 @@ pub(super) fn limit(noise_px: f64) -> f64 {
     (USUAL_MOVE * noise_px).clamp(LEAST_MOVE_PX, LARGEST_MEDIAN_PX)
 }
 
-/// A fault if projectors, moved or not, are off by more than noise: single crossings tell noise, and parts of a picture what
-/// all of their crossings have in common.
+/// A fault if projectors, moved or not, are off by more than noise.
 fn other_wall(names: &[&str], findings: &[&Finding], noise_px: f64, is_flat: bool) -> Option<String> {
-    let off_px = |finding: &Finding| median(finding.misses.iter().map(|[_, by]| by.length()).collect());
-    let far: Vec<(f64, &str)> = std::iter::zip(findings, names)
-        .filter(|(finding, _)| !finding.misses.is_empty())
-        .map(|(finding, name)| (off_px(finding), *name))
-        .filter(|(off_px, _)| *off_px > LEAST_MOVE_PX)
-        .collect();
-    let (worst_px, worst) = far.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let (n_far, worst, worst_px) = off_throughout(names, findings, LEAST_MOVE_PX)?;
     let shape = if is_flat { "" } else { " or its shape is not the one that [surface] says," };
     Some(format!(
         "{} off throughout, \"{worst}\" by {worst_px:.2} pixels, where {LEAST_MOVE_PX} is allowed and the noise of \
          crossings is {noise_px:.2}: the photographs show another wall than the file's,{shape} or the lens bends too much: \
          photograph this wall, or align it anew, without --again",
-        if far.len() == 1 { "1 projector is".to_owned() } else { format!("{} projectors are", far.len()) }
+        if n_far == 1 { "1 projector is".to_owned() } else { format!("{n_far} projectors are") }
     ))
 }
 

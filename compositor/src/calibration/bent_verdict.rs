@@ -2,7 +2,8 @@
 
 use super::{
     bent::{self, BentSolution, Layout},
-    finding::{Finding, typical},
+    finding::{Finding, off_remark, typical},
+    noise::noise_px,
     pattern::Plan,
     place::Placement,
     shape,
@@ -79,6 +80,7 @@ pub(super) fn judge(
         }
         findings.push(Finding { has_fault: faults.len() > n_faults, ..finding });
     }
+    found.extend(off_remark(wall, &findings, noise_px(&shots)));
     let lit = unrolled.lit(wall, &solution);
     let dark = shape::dark_fault(wall, surface, lit).filter(|_| !is_doubted);
     if lit < LEAST_LIT && dark.is_none() {

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use glam::DVec2;
 
 use super::{fitting::median, solve::Fit};
+use crate::wall::Wall;
 
 /// A projector as photographs show it.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -37,6 +38,39 @@ pub(super) fn typical(misses: &[[DVec2; 2]], size: DVec2) -> Vec<[DVec2; 2]> {
         [place, DVec2::new(along(0), along(1))]
     };
     parts.into_values().map(of_part).collect()
+}
+
+/// Projectors that are off by no more than this may be so by chance.
+const LEAST_OFF_PX: f64 = 0.02;
+
+/// The number of projectors that are off by more than so many pixels throughout, and the name of the worst with its distance:
+/// single crossings tell noise, and parts of a picture what all of their crossings have in common.
+pub(super) fn off_throughout<'a>(
+    names: &[&'a str],
+    findings: &[&Finding],
+    more_than_px: f64,
+) -> Option<(usize, &'a str, f64)> {
+    let off_px = |finding: &Finding| median(finding.misses.iter().map(|[_, by]| by.length()).collect());
+    let off: Vec<(&str, f64)> = std::iter::zip(names, findings)
+        .filter(|(_, finding)| !finding.misses.is_empty())
+        .map(|(name, finding)| (*name, off_px(finding)))
+        .filter(|(_, off_px)| *off_px > more_than_px)
+        .collect();
+    let (worst, worst_px) = off.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    Some((off.len(), worst, worst_px))
+}
+
+/// A line if projectors are off throughout by more than noise: so little fits with the allowed distances, but seams between
+/// projectors may be several times as wide.
+pub(super) fn off_remark(wall: &Wall, findings: &[Finding], noise_px: f64) -> Option<String> {
+    let names: Vec<&str> = wall.projectors().iter().map(|projector| projector.name.as_str()).collect();
+    let (_, worst, by_px) = off_throughout(&names, &findings.iter().collect::<Vec<_>>(), noise_px.max(LEAST_OFF_PX))?;
+    let shape = if wall.surface().is_none() { "quite flat" } else { "quite of the shape that [surface] says" };
+    Some(format!(
+        "\"{worst}\" is off by {by_px:.2} pixels throughout, where the noise of crossings is {noise_px:.2}, and seams may be \
+         several times as wide: the wall is not {shape}, a projector's lens bends, or photographs were stretched: take some \
+         from other places, and leave them as the camera made them"
+    ))
 }
 
 #[cfg(test)]

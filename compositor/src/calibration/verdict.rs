@@ -4,11 +4,12 @@ use shared::printable::counted;
 
 use super::{
     bent_verdict, crossing,
-    finding::{Finding, typical},
+    finding::{Finding, off_remark, typical},
     fitting::median,
     identify::Codebook,
     lattice,
     light::{ColourAt, LightShot, samples},
+    noise::noise_px,
     pattern::Plan,
     photograph::Photograph,
     place::{Placement, warp_px},
@@ -193,6 +194,7 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
         }
         projectors.push(Finding { has_fault: faults.len() > n_faults, ..finding });
     }
+    found.extend(off_remark(wall, &projectors, noise_px(&shots)));
     let new_wall = with_warps(wall, &warps, &mut found, &mut faults);
     if matches!(placement, Placement::Marks { .. }) {
         faults.extend(new_wall.as_ref().and_then(marks_fault));
