@@ -185,6 +185,16 @@ fn marks_in_a_photograph_set_the_frame() {
     }
 }
 
+#[test]
+fn a_layout_that_swaps_two_projectors_is_not_believed() {
+    let (rig, plan, _, mut all) = photographed();
+    for sighting in all.iter_mut().flat_map(|reading| &mut reading.shot.sightings) {
+        sighting.projector_idx = [1, 0].get(sighting.projector_idx).copied().unwrap_or(sighting.projector_idx);
+    }
+    let Verdict { faults, .. } = judge(&rig.wall, &plan, &all, None);
+    assert!(faults.iter().any(|fault| fault.contains("do columns, rows, overlap and at_m")), "{faults:?}");
+}
+
 /// Photographs of a wall that is not flat by a phone, held in three places.
 fn by_phone(rig: &mut Rig, plan: &Plan) -> Vec<Reading> {
     let codebook = Codebook::new(plan);
@@ -341,6 +351,13 @@ fn the_program_reads_a_folder_and_keeps_the_old_file() {
         (status.code(), said)
     };
     take(&mut rig, &[1]);
+    #[cfg(unix)]
+    {
+        let link = folder.path().join("link.png");
+        std::os::unix::fs::symlink(photos.join("0.png"), &link).unwrap();
+        let (code, said) = run(&["--report", link.to_str().unwrap()]);
+        assert!(code == Some(1) && said.contains("not among the photographs"), "{said}");
+    }
     let (code, said) = run(&[]);
     assert_eq!(code, Some(1), "{said}");
     assert!(said.contains("broken.jpg cannot be read") && said.contains("--force"), "{said}");

@@ -9,7 +9,7 @@ use super::{
     shape,
     solve::Shot,
     unroll::{Unrolled, place_in_file},
-    verdict::{Verdict, doubts, line, misfit, misfit_line, misfits_fault, missing_fault},
+    verdict::{NOTHING_SEEN, Verdict, doubts, line, misfit, misfit_line, misfits_fault, missing_fault},
 };
 use crate::wall::{Projector, Surface, Wall};
 
@@ -43,7 +43,7 @@ pub(super) fn judge(
     };
     let free = vec![false; wall.projectors().len()];
     let Some(mut solution) = solved(wall, surface, &shots, &free) else {
-        faults.push("no photograph shows enough of the patterns: are the projectors on, and is it sharp?".into());
+        faults.push(NOTHING_SEEN.to_owned());
         return nothing(found, faults);
     };
     while let Some(worst) = misfit(&solution.shot_medians_px) {

@@ -51,8 +51,13 @@ pub(super) const LARGEST_P95_PX: f64 = 1.0;
 pub(super) const LEAST_COVERED: f64 = 0.6;
 /// More photographs than this part of all are too many to be left out as misfits.
 const MOST_MISFITS: f64 = 0.2;
-/// A rectangle that reaches farther beyond its projector's pixels than this part of their height was not marked as it is.
-const MOST_BEYOND: f64 = 0.1;
+/// A rectangle that reaches farther beyond its projector's pixels than this part of their height is not where the file has it,
+/// or where marks have it.
+const MOST_BEYOND: f64 = 0.25;
+const MOST_BEYOND_MARKS: f64 = 0.1;
+/// The fault if no projector is seen: one for each would bury the photographs' own.
+pub(super) const NOTHING_SEEN: &str = "no photograph shows enough of the patterns: are the projectors on, are the patterns of this \
+                                       wall file, and are the photographs sharp and not burnt out?";
 /// A photograph whose points lie this many times as far off as those of the others was not taken as they were.
 const FARTHEST_VIEW: f64 = 5.0;
 
@@ -194,27 +199,34 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
         }
         projectors.push(Finding { has_fault: faults.len() > n_faults, ..finding });
     }
+    if projectors.iter().all(|finding| finding.fit.is_none()) {
+        faults = vec![NOTHING_SEEN.to_owned()];
+    }
     found.extend(off_remark(wall, &projectors, noise_px(&shots)));
     let new_wall = with_warps(wall, &warps, &mut found, &mut faults);
-    if matches!(placement, Placement::Marks { .. }) {
-        faults.extend(new_wall.as_ref().and_then(marks_fault));
-    }
+    faults.extend(new_wall.as_ref().and_then(|wall| beyond_fault(wall, &placement)));
     Verdict { wall: new_wall, found, faults, projectors }
 }
 
-/// A fault if marks ask projectors for much more than they light: marks in another order turn the picture, and mostly reach
-/// beyond.
-fn marks_fault(wall: &Wall) -> Option<String> {
-    let parts = (0..wall.projectors().len()).map(|index| {
-        let size = wall.projectors()[index].output.size();
-        beyond_px(wall, index) / size.min_element()
-    });
-    let most = parts.fold(0.0, f64::max);
-    (most > MOST_BEYOND).then(|| {
+/// A fault if a rectangle reaches much farther than its projector lights: marks in another order turn the picture, and a layout
+/// that is not the wall's asks projectors for each other's parts.
+fn beyond_fault(wall: &Wall, placement: &Placement) -> Option<String> {
+    let parts =
+        wall.projectors().iter().enumerate().map(|(index, projector)| {
+            (beyond_px(wall, index) / projector.output.size().min_element(), &projector.name)
+        });
+    let (part, name) = parts.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let (most, cure) = match placement {
+        Placement::Marks { .. } => (
+            MOST_BEYOND_MARKS,
+            "give --marks in the order upper left, upper right, lower right, lower left, at pixels of that photograph",
+        ),
+        _ => (MOST_BEYOND, "do columns, rows, overlap and at_m in the file agree with where projectors stand?"),
+    };
+    (part > most).then(|| {
         format!(
-            "--marks asks for corners beyond what projectors light, by {:.0} % of a projector's height: give the canvas's \
-             corners in the order upper left, upper right, lower right, lower left, at pixels of that photograph",
-            100.0 * most
+            "the canvas asks \"{name}\" for pixels beyond those that it lights, by {:.0} % of its height: {cure}",
+            100.0 * part
         )
     })
 }
@@ -404,8 +416,8 @@ fn short_projectors(wall: &Wall) -> Vec<String> {
         let most = beyond_px(wall, *index);
         (most > 0.5).then(|| {
             format!(
-                "\"{}\" does not reach a part of its rectangle, by up to {most:.0} pixels: --place largest may make \
-                 the picture fit; otherwise move the projector, or let the file's overlap be smaller",
+                "\"{}\" does not reach a part of its rectangle, by up to {most:.0} pixels: move the projector, let the \
+                 file's overlap be smaller, or try --place largest, unless that was the place",
                 projector.name
             )
         })

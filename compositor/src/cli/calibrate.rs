@@ -163,11 +163,14 @@ fn check_report(args: &CalibrateArgs) -> anyhow::Result<()> {
     let Some(report) = &args.report else { return Ok(()) };
     let folder_of =
         |path: &Path| fs::canonicalize(path.parent().filter(|it| *it != Path::new("")).unwrap_or(Path::new(".")));
-    let photos = args.photos.iter().chain(&args.watch).filter_map(|folder| fs::canonicalize(folder).ok());
-    let is_among_photos = folder_of(report).is_ok_and(|folder| photos.into_iter().any(|photos| photos == folder));
-    if is_among_photos
-        || fs::canonicalize(report).is_ok_and(|path| fs::canonicalize(&args.file).is_ok_and(|it| it == path))
-    {
+    let folders: Vec<PathBuf> =
+        args.photos.iter().chain(&args.watch).filter_map(|folder| fs::canonicalize(folder).ok()).collect();
+    let is_among_photos = folder_of(report).is_ok_and(|folder| folders.contains(&folder));
+    // A link to a photograph, or a photograph that is one.
+    let files = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().flatten().map(|it| it.path());
+    let is_input = fs::canonicalize(report)
+        .is_ok_and(|path| files.chain([args.file.clone()]).any(|it| fs::canonicalize(it).is_ok_and(|it| it == path)));
+    if is_among_photos || is_input {
         bail!("--report {}: name a file that is not among the photographs, and not the wall file", report.display());
     }
     Ok(())
@@ -198,8 +201,12 @@ fn write_patterns(args: &CalibrateArgs, wall: &Wall, plan: &Plan, folder: &Path)
                 Some(output) => format!("{output}-pattern-{}.png", pattern + 1),
                 None => format!("pattern-{}.png", pattern + 1),
             };
+            let path = folder.join(name);
+            if image::image_dimensions(&path).is_ok_and(|size| size != (part.width, part.height)) {
+                bail!("{} is there, and no pattern of this wall: name another folder", path.display());
+            }
             let rgb = plan.draw(pattern, wall, part).into_flattened();
-            RgbImage { size: [part.width, part.height], rgb }.write_png(&folder.join(name))?;
+            RgbImage { size: [part.width, part.height], rgb }.write_png(&path)?;
         }
     }
     say(format_args!(
