@@ -187,12 +187,17 @@ fn marks_in_a_photograph_set_the_frame() {
 
 #[test]
 fn a_layout_that_swaps_two_projectors_is_not_believed() {
-    let (rig, plan, _, mut all) = photographed();
-    for sighting in all.iter_mut().flat_map(|reading| &mut reading.shot.sightings) {
-        sighting.projector_idx = [0, 1, 2, 3, 5, 4][sighting.projector_idx];
+    let (rig, plan, _, all) = photographed();
+    // The second hangs upside down.
+    for swapped in [[0, 1, 2, 3, 5, 4], [1, 0, 2, 3, 4, 5]] {
+        let mut all = all.clone();
+        for sighting in all.iter_mut().flat_map(|reading| &mut reading.shot.sightings) {
+            sighting.projector_idx = swapped[sighting.projector_idx];
+        }
+        let Verdict { wall, found, faults, .. } = judge(&rig.wall, &plan, &all, None);
+        let is_told = faults.iter().any(|fault| fault.contains("do columns, rows, overlap and at_m"));
+        assert!(is_told, "{swapped:?}: {faults:?} {found:#?} {:?}", wall.map(|wall| wall.projectors()[0].warp_px));
     }
-    let Verdict { faults, .. } = judge(&rig.wall, &plan, &all, None);
-    assert!(faults.iter().any(|fault| fault.contains("do columns, rows, overlap and at_m")), "{faults:?}");
 }
 
 /// Photographs of a wall that is not flat by a phone, held in three places.
@@ -275,6 +280,8 @@ fn a_wrong_radius_angle_or_edge_is_refused_with_the_value_that_fits() {
         let judged = |surface: Surface| judge(&rig.wall.clone().with_surface(Some(surface)), &plan, &readings, None);
         let Verdict { found, faults, .. } = judged(surface(name, right));
         assert!(faults.is_empty() && !found.iter().any(|line| line.contains("do not tell")), "{name}: {faults:?}");
+        // A radius is never believed without a word.
+        assert_eq!(found.iter().any(|line| line.contains("photographs tell no sizes")), name != "fold", "{found:#?}");
         for value in wrong {
             let faults = judged(surface(name, *value)).faults;
             let told = faults.iter().find_map(|fault| number(fault, word));

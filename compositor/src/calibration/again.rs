@@ -116,7 +116,7 @@ pub(super) struct Outcome {
 /// How well a projector fits, and how far half and nineteen of twenty of its points lie from where the file has them.
 pub(super) type Tried = (Fit, [f64; 2]);
 
-/// What these shots tell of all projectors while some count as moved.
+/// All projectors as these shots show them, while some count as moved.
 pub(super) type TriedBy<'a> = &'a dyn Fn(&[bool], &[Shot]) -> Vec<Tried>;
 
 /// Which projectors have moved, if `tried` tells all of them by some shots while some count as moved; and the shots that do

@@ -58,8 +58,10 @@ pub(super) fn evidence(wall: &Wall, surface: Surface, solution: &BentSolution, s
     }
     match surface {
         Surface::Cylinder { radius_m, .. } | Surface::Dome { radius_m, .. } => {
-            let faults = size_fault(radius_m, size(wall, surface, solution)).into_iter().collect();
-            Evidence { faults, remarks: Vec::new() }
+            let size = size(wall, surface, solution);
+            let faults: Vec<String> = size_fault(radius_m, size).into_iter().collect();
+            let is_believed = faults.is_empty() && size.is_finite();
+            Evidence { faults, remarks: is_believed.then(|| size_remark(radius_m, size)).into_iter().collect() }
         }
         Surface::Fold { at_m, angle } => {
             let n_sightings = shots.iter().map(|shot| shot.sightings.len()).sum::<usize>();
@@ -137,6 +139,14 @@ fn size_fault(radius_m: f64, size: f64) -> Option<String> {
             radius_m / size
         )
     })
+}
+
+fn size_remark(radius_m: f64, size: f64) -> String {
+    format!(
+        "photographs tell no sizes, so radius_m = {radius_m} is believed; by the file's layout it is about {:.2}: measure it, since \
+         a radius that is wrong by a tenth makes the picture too high or too low by a tenth",
+        radius_m / size
+    )
 }
 
 /// The angle that leaves least over against that in the file: the best of many, since far from it there are other valleys,

@@ -1,5 +1,6 @@
 //! From photographs to corners, or meshes: what was found, what was not, and the cure.
 
+use glam::DVec2;
 use shared::printable::counted;
 
 use super::{
@@ -15,7 +16,7 @@ use super::{
     place::{Placement, warp_px},
     solve::{Fit, Shot, Solution, solve},
 };
-use crate::wall::{Flip, Projector, Wall};
+use crate::wall::{Flip, Projector, Wall, homography::UNIT_SQUARE};
 
 /// The part of a wall that a photograph shows.
 #[derive(Clone, Debug, PartialEq)]
@@ -211,10 +212,8 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
 /// A fault if a rectangle reaches much farther than its projector lights: marks in another order turn the picture, and a layout
 /// that is not the wall's asks projectors for each other's parts.
 fn beyond_fault(wall: &Wall, placement: &Placement) -> Option<String> {
-    let parts =
-        wall.projectors().iter().enumerate().map(|(index, projector)| {
-            (beyond_px(wall, index) / projector.output.size().min_element(), &projector.name)
-        });
+    let part_of = |projector: &Projector| beyond_px(projector) / projector.output.size().min_element();
+    let parts = wall.projectors().iter().map(|projector| (part_of(projector), &projector.name));
     let (part, name) = parts.max_by(|a, b| a.0.total_cmp(&b.0))?;
     let (most, cure) = match placement {
         Placement::Marks { .. } => (
@@ -394,26 +393,19 @@ pub(super) fn missing_fault(name: &str, index: usize, shots: &[Shot]) -> String 
 }
 
 /// How far the corners of a projector's rectangle lie beyond its pixels, at most.
-fn beyond_px(wall: &Wall, index: usize) -> f64 {
-    let [upper_left, upper_right, lower_right, lower_left] = wall.projectors()[index].warp_px;
-    let beyond = [
-        -upper_left[0],
-        -upper_left[1],
-        upper_right[0],
-        -upper_right[1],
-        lower_right[0],
-        lower_right[1],
-        -lower_left[0],
-        lower_left[1],
-    ];
-    beyond.into_iter().fold(0.0, f64::max)
+fn beyond_px(projector: &Projector) -> f64 {
+    let upright_px = DVec2::from(projector.upright_size().map(f64::from));
+    let beyond = |(corner, warp_px): (DVec2, [f64; 2])| {
+        let at = corner * upright_px + DVec2::from(warp_px);
+        (-at).max(at - upright_px).max_element()
+    };
+    std::iter::zip(UNIT_SQUARE, projector.warp_px).map(beyond).fold(0.0, f64::max)
 }
 
 /// Projectors of which a part of the rectangle lies beyond their pixels.
 fn short_projectors(wall: &Wall) -> Vec<String> {
-    let short = |index: &usize| {
-        let projector = &wall.projectors()[*index];
-        let most = beyond_px(wall, *index);
+    let short = |projector: &Projector| {
+        let most = beyond_px(projector);
         (most > 0.5).then(|| {
             format!(
                 "\"{}\" does not reach a part of its rectangle, by up to {most:.0} pixels: move the projector, let the \
@@ -422,7 +414,7 @@ fn short_projectors(wall: &Wall) -> Vec<String> {
             )
         })
     };
-    (0..wall.projectors().len()).filter_map(|index| short(&index)).collect()
+    wall.projectors().iter().filter_map(short).collect()
 }
 
 /// Drops what a photograph shows the wrong way round: a mirror or a shining floor.

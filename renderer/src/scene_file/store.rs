@@ -107,7 +107,7 @@ impl SceneStore {
 
     /// The scene file of a model in the cache.
     fn cached(&self, model: &Path, crease: Crease) -> Option<(PathBuf, SceneFile)> {
-        // Whoever loads the scene tells of faults.
+        // Faults are told where the scene is loaded.
         let open = |path: PathBuf| open_cached(&path, model).ok().flatten().map(|file| (path, file));
         self.cache.as_ref()?.paths(model, crease).find_map(open)
     }
