@@ -79,10 +79,6 @@ impl Header {
             let line = match *words.as_slice() {
                 [] | ["comment" | "obj_info", ..] => String::from("comment"),
                 ["end_header"] => break,
-                // Blender 2.47 signs its files without `comment`. Before the first element, no row can depend on a line.
-                [word, ..] if declared.is_empty() && !["format", "element", "property"].contains(&word) => {
-                    String::from("comment")
-                }
                 ["element", name, count] => {
                     if declared.iter().any(|element| element.name == name) {
                         return Err(Problem::Repeated(name.to_owned()));

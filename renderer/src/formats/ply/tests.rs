@@ -264,14 +264,6 @@ fn files_without_faces_or_vertices_have_no_triangles() {
 }
 
 #[test]
-fn remarks_before_the_first_element_are_passed_over() {
-    let signed =
-        TRIANGLE.replace("element vertex", "Created by Blender3D 247 - www.blender.org, source file: \nelement vertex");
-    assert_ne!(signed, TRIANGLE);
-    assert_eq!(mesh(&signed).triangles, mesh(TRIANGLE).triangles);
-}
-
-#[test]
 fn errors_say_what_and_where() {
     let with = |from: &str, to: &str| error_text(TRIANGLE.replace(from, to));
     let not_ply = "is not a PLY file, which begins with a line `ply`";
