@@ -6,8 +6,9 @@
 
 // Each pixel's blend weight, and the light of all projectors' black there, drawn by blend_weights.wgsl.
 @group(1) @binding(0) var blend_weights: texture_2d<f32>;
-// Each pixel's place in its projector's rectangle, if that projector has a mesh, drawn by places.wgsl.
-@group(1) @binding(1) var places: texture_2d<f32>;
+// Each pixel's place in its projector's rectangle, if that projector has a mesh: sixteen bits across, sixteen down, drawn by
+// places.wgsl.
+@group(1) @binding(1) var places: texture_2d<u32>;
 
 // One projector on the target. Matches `ProjectorInstance` in optics.rs.
 struct Projector {
@@ -74,7 +75,7 @@ fn drive_at(quad: Quad) -> vec3f {
     // At and behind the horizon there is no wall, and the weight is 0.
     var within = clamp(image.xy / max(image.z, 1e-9), vec2f(0.0), vec2f(1.0));
     if (quad.has_mesh != 0u) {
-        within = clamp(textureLoad(places, vec2i(quad.position.xy), 0).rg, vec2f(0.0), vec2f(1.0));
+        within = unpack2x16unorm(textureLoad(places, vec2i(quad.position.xy), 0).r);
     }
     let at = quad.frame_from_rect.xy + within * quad.frame_from_rect.zw;
     let linear = frame_at(at);

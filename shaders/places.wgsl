@@ -38,8 +38,15 @@ fn vertex(@builtin(vertex_index) corner: u32, @builtin(instance_index) projector
 }
 
 // The place in units of the projector's rectangle.
+// In units of the projector's rectangle.
+struct Place {
+    @location(0) exact: vec4f,
+    // The nearest in the rectangle: sixteen bits across, sixteen down.
+    @location(1) within: u32,
+}
+
 @fragment
-fn fragment(quad: Quad) -> @location(0) vec4f {
+fn fragment(quad: Quad) -> Place {
     let projector = &projectors[quad.projector_idx];
     let image = (*projector).image_from_px * vec3f(quad.position.xy - (*projector).origin_px, 1.0);
     // At and behind the horizon there is no wall, and the blend weight is 0.
@@ -56,5 +63,5 @@ fn fragment(quad: Quad) -> @location(0) vec4f {
         place += mixed * down[row];
         first += (*projector).n_columns;
     }
-    return vec4f(place, 0.0, 0.0);
+    return Place(vec4f(place, 0.0, 0.0), pack2x16unorm(place));
 }

@@ -7,6 +7,7 @@ use glam::DVec2;
 
 use super::{
     context::Gpu,
+    places::PlaceViews,
     quad::{Layer, TargetProjector, begin_pass, buffer, columns, pipeline_layout, quad_pipeline, shader},
 };
 use crate::wall::{FallOff, PixelRect, Wall, blend::Neighbour, mesh::Mesh};
@@ -26,8 +27,8 @@ struct BlendWeights {
     part: PixelRect,
     target_size: [u32; 2],
     records: Records,
-    /// The texture of [`super::places`]; another one has other places.
-    places: wgpu::TextureView,
+    /// Others are other places.
+    places: PlaceViews,
     group: wgpu::BindGroup,
 }
 
@@ -92,30 +93,32 @@ impl BlendStage {
             has_dynamic_offset: false,
             min_binding_size: None,
         };
-        let texture = wgpu::BindingType::Texture {
-            sample_type: wgpu::TextureSampleType::Float { filterable: false },
+        let texture = |sample_type| wgpu::BindingType::Texture {
+            sample_type,
             view_dimension: wgpu::TextureViewDimension::D2,
             multisampled: false,
         };
+        let floats = texture(wgpu::TextureSampleType::Float { filterable: false });
+        let integers = texture(wgpu::TextureSampleType::Uint);
         let records_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("projectors and neighbours"),
             entries: &[
                 entry(0, wgpu::ShaderStages::VERTEX_FRAGMENT, records),
                 entry(1, wgpu::ShaderStages::FRAGMENT, records),
                 entry(2, wgpu::ShaderStages::FRAGMENT, records),
-                entry(3, wgpu::ShaderStages::FRAGMENT, texture),
+                entry(3, wgpu::ShaderStages::FRAGMENT, floats),
                 entry(4, wgpu::ShaderStages::FRAGMENT, records),
             ],
         });
         let weights_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("blend weights"),
             entries: &[
-                entry(0, wgpu::ShaderStages::FRAGMENT, texture),
-                entry(1, wgpu::ShaderStages::FRAGMENT, texture),
+                entry(0, wgpu::ShaderStages::FRAGMENT, floats),
+                entry(1, wgpu::ShaderStages::FRAGMENT, integers),
             ],
         });
         let layout = pipeline_layout(gpu, "blend weights", &[Some(&records_layout)]);
-        let pipeline = quad_pipeline(gpu, "blend weights", &layout, &shader, &[], "fragment", FORMAT.into());
+        let pipeline = quad_pipeline(gpu, "blend weights", &layout, &shader, &[], "fragment", &[Some(FORMAT.into())]);
         Self { pipeline, records_layout, weights_layout, cached: Vec::new() }
     }
 
@@ -125,7 +128,7 @@ impl BlendStage {
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        places: &wgpu::TextureView,
+        places: &PlaceViews,
         target_size: [u32; 2],
         wall: &Wall,
         part: PixelRect,
@@ -151,7 +154,7 @@ impl BlendStage {
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        places: &wgpu::TextureView,
+        places: &PlaceViews,
         target_size: [u32; 2],
         records: &Records,
     ) -> wgpu::BindGroup {
@@ -173,11 +176,11 @@ impl BlendStage {
                 entry(0, buffers[0].as_entire_binding()),
                 entry(1, buffers[1].as_entire_binding()),
                 entry(2, buffers[2].as_entire_binding()),
-                entry(3, wgpu::BindingResource::TextureView(places)),
+                entry(3, wgpu::BindingResource::TextureView(&places.exact)),
                 entry(4, buffers[3].as_entire_binding()),
             ],
         });
-        let mut pass = begin_pass(encoder, "blend weights", &view, Layer::Alone, None);
+        let mut pass = begin_pass(encoder, "blend weights", &[&view], Layer::Alone, None);
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &group, &[]);
         pass.draw(0..4, 0..records.projectors.len() as u32);
@@ -187,7 +190,7 @@ impl BlendStage {
             layout: &self.weights_layout,
             entries: &[
                 entry(0, wgpu::BindingResource::TextureView(&view)),
-                entry(1, wgpu::BindingResource::TextureView(places)),
+                entry(1, wgpu::BindingResource::TextureView(&places.within)),
             ],
         })
     }

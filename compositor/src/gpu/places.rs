@@ -13,8 +13,8 @@ use crate::wall::{PixelRect, Wall, mesh::Mesh};
 pub(super) struct PlaceStage {
     pipeline: wgpu::RenderPipeline,
     records_layout: wgpu::BindGroupLayout,
-    /// For parts of a wall without meshes: nobody reads it.
-    nowhere: wgpu::TextureView,
+    /// For parts of a wall without meshes: nobody reads them.
+    nowhere: PlaceViews,
     /// The newest for each part of the wall.
     cached: Vec<Places>,
 }
@@ -25,7 +25,16 @@ struct Places {
     target_size: [u32; 2],
     projectors: Vec<ProjectorRecord>,
     meshes: Vec<Arc<Mesh>>,
-    view: wgpu::TextureView,
+    views: PlaceViews,
+}
+
+/// The places of one part of the wall on a target, each pixel's in units of its projector's rectangle.
+#[derive(Clone, PartialEq)]
+pub(super) struct PlaceViews {
+    /// As they are, also beyond the rectangle: for blend weights.
+    pub(super) exact: wgpu::TextureView,
+    /// The nearest in the rectangle, in half the bytes: for each frame.
+    pub(super) within: wgpu::TextureView,
 }
 
 /// One projector on one target. Matches `Projector` in `shaders/places.wgsl`.
@@ -43,8 +52,12 @@ struct ProjectorRecord {
 
 const _: () = assert!(size_of::<ProjectorRecord>() == 96);
 
-/// A place is held to a sixteen-millionth of the projector's rectangle.
-const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Float;
+/// An exact place is held to a sixteen-millionth of the projector's rectangle.
+const EXACT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Float;
+
+/// Two numbers of sixteen bits hold a place to a thirtieth of a pixel in a rectangle of 4096 pixels. Meshes cost lavapipe 4
+/// to 9 % of a frame so, and 7 to 15 % with exact places. A format of two such numbers is optional in WebGPU.
+const WITHIN: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
 
 impl PlaceStage {
     pub(super) fn new(gpu: &Gpu) -> Self {
@@ -65,8 +78,9 @@ impl PlaceStage {
             entries: &[entry(0, wgpu::ShaderStages::VERTEX_FRAGMENT), entry(1, wgpu::ShaderStages::FRAGMENT)],
         });
         let layout = pipeline_layout(gpu, "places", &[Some(&records_layout)]);
-        let pipeline = quad_pipeline(gpu, "places", &layout, &shader, &[], "fragment", FORMAT.into());
-        let (_, nowhere) = gpu.texture("nowhere", [1, 1], FORMAT, wgpu::TextureUsages::TEXTURE_BINDING);
+        let pipeline =
+            quad_pipeline(gpu, "places", &layout, &shader, &[], "fragment", &[EXACT, WITHIN].map(|it| Some(it.into())));
+        let nowhere = PlaceViews::new(gpu, [1, 1]);
         Self { pipeline, records_layout, nowhere, cached: Vec::new() }
     }
 
@@ -80,7 +94,7 @@ impl PlaceStage {
         wall: &Wall,
         part: PixelRect,
         on_target: &[TargetProjector],
-    ) -> wgpu::TextureView {
+    ) -> PlaceViews {
         let mut meshes = Vec::new();
         let mut projectors = Vec::new();
         let mut first_point = 0;
@@ -100,14 +114,14 @@ impl PlaceStage {
         if let Some(cached) = cached.map(|index| &self.cached[index])
             && (cached.target_size, &cached.projectors, &cached.meshes) == (target_size, &projectors, &meshes)
         {
-            return cached.view.clone();
+            return cached.views.clone();
         }
-        let view = self.draw(gpu, encoder, target_size, &projectors, &meshes);
+        let views = self.draw(gpu, encoder, target_size, &projectors, &meshes);
         if let Some(index) = cached {
             self.cached.swap_remove(index);
         }
-        self.cached.push(Places { part, target_size, projectors, meshes, view: view.clone() });
-        view
+        self.cached.push(Places { part, target_size, projectors, meshes, views: views.clone() });
+        views
     }
 
     fn draw(
@@ -117,13 +131,12 @@ impl PlaceStage {
         target_size: [u32; 2],
         projectors: &[ProjectorRecord],
         meshes: &[Arc<Mesh>],
-    ) -> wgpu::TextureView {
+    ) -> PlaceViews {
         let points: Vec<[f32; 2]> = meshes
             .iter()
             .flat_map(|mesh| mesh.padded().iter().map(|at| mesh.bounds().rect_from_canvas(*at).as_vec2().to_array()))
             .collect();
-        let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-        let (_, view) = gpu.texture("places", target_size, FORMAT, usage);
+        let views = PlaceViews::new(gpu, target_size);
         let storage = wgpu::BufferUsages::STORAGE;
         let [projector_buffer, point_buffer] = [buffer(gpu, storage, projectors), buffer(gpu, storage, &points)];
         let records = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -134,12 +147,20 @@ impl PlaceStage {
                 wgpu::BindGroupEntry { binding: 1, resource: point_buffer.as_entire_binding() },
             ],
         });
-        let mut pass = begin_pass(encoder, "places", &view, Layer::Alone, None);
+        let mut pass = begin_pass(encoder, "places", &[&views.exact, &views.within], Layer::Alone, None);
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &records, &[]);
         pass.draw(0..4, 0..projectors.len() as u32);
         drop(pass);
-        view
+        views
+    }
+}
+
+impl PlaceViews {
+    fn new(gpu: &Gpu, size: [u32; 2]) -> Self {
+        let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
+        let view = |label, format| gpu.texture(label, size, format, usage).1;
+        Self { exact: view("exact places", EXACT), within: view("places within rectangles", WITHIN) }
     }
 }
 

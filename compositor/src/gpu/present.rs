@@ -173,7 +173,7 @@ impl Present {
         let instance_buffer = (!instances.is_empty()).then(|| buffer(gpu, wgpu::BufferUsages::VERTEX, &instances));
         let corrected = self.optics.prepare(gpu, encoder, wall, output, &corrected, (is_cut, layer));
         let timestamps = self.timer.as_ref().and_then(|timer| timer.pass_timestamps(is_end));
-        let mut pass = begin_pass(encoder, "present", target.view, layer, timestamps);
+        let mut pass = begin_pass(encoder, "present", &[target.view], layer, timestamps);
         let Some(frame) = frame else { return };
         pass.set_blend_constant(wgpu::Color { r: light, g: light, b: light, a: light });
         if let Some(instance_buffer) = &instance_buffer {

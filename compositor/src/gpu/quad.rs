@@ -142,7 +142,7 @@ impl QuadPipelines {
         let (shader, layout) = &self.variants[usize::from(is_cut)];
         let blend = (layer == Layer::Over).then_some(MIX);
         let target = wgpu::ColorTargetState { blend, ..format.into() };
-        let pipeline = quad_pipeline(gpu, self.label, layout, shader, &buffers, fragment, target);
+        let pipeline = quad_pipeline(gpu, self.label, layout, shader, &buffers, fragment, &[Some(target)]);
         self.used.push((variant, pipeline.clone()));
         pipeline
     }
@@ -184,7 +184,7 @@ pub(super) fn quad_pipeline(
     shader: &wgpu::ShaderModule,
     buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
     fragment: &'static str,
-    target: wgpu::ColorTargetState,
+    targets: &[Option<wgpu::ColorTargetState>],
 ) -> wgpu::RenderPipeline {
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(label),
@@ -202,7 +202,7 @@ pub(super) fn quad_pipeline(
             module: shader,
             entry_point: Some(fragment),
             compilation_options: Default::default(),
-            targets: &[Some(target)],
+            targets,
         }),
         multiview_mask: None,
         cache: None,
@@ -226,11 +226,11 @@ pub(super) fn buffer<T: bytemuck::NoUninit>(gpu: &Gpu, usage: wgpu::BufferUsages
     buffer
 }
 
-/// A pass that draws on `view`: over what is there, or on black.
+/// A pass that draws on `views`: over what is there, or on black.
 pub(super) fn begin_pass<'a>(
     encoder: &'a mut wgpu::CommandEncoder,
     label: &str,
-    view: &wgpu::TextureView,
+    views: &[&wgpu::TextureView],
     layer: Layer,
     timestamp_writes: Option<wgpu::RenderPassTimestampWrites<'_>>,
 ) -> wgpu::RenderPass<'a> {
@@ -238,14 +238,16 @@ pub(super) fn begin_pass<'a>(
         Layer::Alone => wgpu::LoadOp::Clear(wgpu::Color::BLACK),
         Layer::Over => wgpu::LoadOp::Load,
     };
+    let attachment = |view| wgpu::RenderPassColorAttachment {
+        view,
+        depth_slice: None,
+        resolve_target: None,
+        ops: wgpu::Operations { load, store: wgpu::StoreOp::Store },
+    };
+    let attachments: Vec<_> = views.iter().map(|view| Some(attachment(view))).collect();
     encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
         label: Some(label),
-        color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-            view,
-            depth_slice: None,
-            resolve_target: None,
-            ops: wgpu::Operations { load, store: wgpu::StoreOp::Store },
-        })],
+        color_attachments: &attachments,
         timestamp_writes,
         ..Default::default()
     })
