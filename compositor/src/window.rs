@@ -19,7 +19,7 @@ mod waker;
 
 use std::ops::ControlFlow;
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use winit::event_loop::EventLoop;
 
 pub(crate) use self::{
@@ -53,14 +53,15 @@ pub(crate) struct Steering {
 pub(crate) struct WindowLoop(EventLoop<Call>);
 
 impl WindowLoop {
-    /// Connects to the display, unless there is none or a library is missing. Call it on the main thread, and only once.
-    pub(crate) fn new() -> anyhow::Result<Self> {
-        display_environment::check()?;
+    /// Connects to the display, unless there is none or a library is missing: then `otherwise` says how to do without a
+    /// window. Call it on the main thread, and only once.
+    pub(crate) fn new(otherwise: &str) -> anyhow::Result<Self> {
+        display_environment::check().map_err(|error| anyhow!("{error}; or {otherwise}"))?;
         let event_loop = EventLoop::with_user_event().build().with_context(|| {
             let display = |name| std::env::var(name).unwrap_or_default();
             format!(
                 "no window can be opened (DISPLAY={}, WAYLAND_DISPLAY={}): check that the display runs and lets this \
-                 user in, or use --headless",
+                 user in, or {otherwise}",
                 display("DISPLAY"),
                 display("WAYLAND_DISPLAY")
             )

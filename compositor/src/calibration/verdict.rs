@@ -1,6 +1,7 @@
 //! From photographs to corners, or meshes: what was found, what was not, and the cure.
 
 use glam::DVec2;
+use rayon::prelude::*;
 use shared::printable::counted;
 
 use super::{
@@ -29,6 +30,7 @@ pub struct Reading {
     pub light: LightShot,
     /// The cause that it shows none, with the cure.
     fault: Option<String>,
+    is_over_exposed: bool,
 }
 
 /// Corners for a wall, and how sure they are.
@@ -59,6 +61,9 @@ const MOST_BEYOND_MARKS: f64 = 0.1;
 /// The fault if no projector is seen: one for each would bury the photographs' own.
 pub(super) const NOTHING_SEEN: &str = "no photograph shows enough of the patterns: are the projectors on, are the patterns of this \
                                        wall file, and are the photographs sharp and not burnt out?";
+/// White is burnt out if more than this part of a photograph's lit pixels is; a lamp in the picture covers less.
+const MOST_BURNT_OUT: f64 = 0.1;
+const OVER_EXPOSED: &str = "is over-exposed: expose shorter";
 /// A photograph whose points lie this many times as far off as those of the others was not taken as they were.
 const FARTHEST_VIEW: f64 = 5.0;
 
@@ -79,16 +84,15 @@ impl Reading {
         let crossings = crossing::find(photograph);
         let lattices = lattice::find(photograph, &crossings);
         let mut sightings: Vec<_> = lattices.iter().flat_map(|lattice| codebook.identify(lattice)).collect();
+        let n_brighter = |least: f32| photograph.values.par_iter().filter(|value| **value > least).count();
+        let n_lit = n_brighter(0.15);
+        let is_over_exposed = n_brighter(0.98) as f64 > MOST_BURNT_OUT * n_lit as f64;
         let fault = sightings.is_empty().then(|| {
-            let n_values = photograph.values.len().max(1) as f64;
-            let part = |is_such: fn(&f32) -> bool| {
-                photograph.values.iter().filter(|value| is_such(value)).count() as f64 / n_values
-            };
             let n_squares = lattices.iter().map(|lattice| lattice.squares.len()).sum::<usize>();
-            if part(|value| *value > 0.15) < 0.005 {
+            if n_lit < photograph.values.len() / 200 {
                 "is too dark: expose longer"
-            } else if part(|value| *value > 0.98) > 0.2 {
-                "is over-exposed: expose shorter"
+            } else if is_over_exposed {
+                OVER_EXPOSED
             } else if n_squares >= 200 {
                 "shows patterns, but not those of this wall file"
             } else {
@@ -103,7 +107,7 @@ impl Reading {
         });
         // Squares of many inks shift the crossings between them, so patterns of light tell no places.
         sightings.retain(|sighting| sighting.pattern < plan.n_patterns());
-        Self { name, shot: Shot { size: photograph.size, sightings }, light, fault }
+        Self { name, shot: Shot { size: photograph.size, sightings }, light, fault, is_over_exposed }
     }
 
     /// The patterns in the photograph, from 0, each once.
@@ -124,7 +128,7 @@ impl Reading {
 
     /// A line on what it shows.
     pub fn line(&self, wall: &Wall) -> String {
-        let Self { name, fault, .. } = self;
+        let Self { name, fault, is_over_exposed, .. } = self;
         if let Some(fault) = fault {
             return format!("{name} {fault}");
         }
@@ -141,7 +145,10 @@ impl Reading {
             1..=4 => format!(", not \"{}\"", missing.join("\", \"")),
             _ => String::new(),
         };
-        format!("{name} shows pattern {patterns} on {} of {n_all} projectors{without}", n_all - missing.len())
+        // Burnt out white eats the corners of black squares, first where the light is brightest.
+        let remark =
+            if *is_over_exposed && !missing.is_empty() { format!("; it {OVER_EXPOSED}") } else { String::new() };
+        format!("{name} shows pattern {patterns} on {} of {n_all} projectors{without}{remark}", n_all - missing.len())
     }
 }
 

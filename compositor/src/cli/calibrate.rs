@@ -217,9 +217,12 @@ fn write_patterns(args: &CalibrateArgs, wall: &Wall, plan: &Plan, folder: &Path)
     ))
 }
 
+const WITHOUT_WINDOW: &str =
+    "write the patterns with --patterns, show them by other means, and read the photographs with --photos";
+
 /// Shows the patterns, for a camera whose photographs come later.
 fn show(args: &CalibrateArgs, wall: &Wall, plan: &Plan) -> anyhow::Result<()> {
-    let window = WindowLoop::new()?;
+    let window = WindowLoop::new(WITHOUT_WINDOW)?;
     stop_with(&window);
     let n_patterns = n_patterns(args, plan);
     tracing::info!("{}: Space shows the next, Escape ends", counted(n_patterns, "pattern"));
@@ -246,7 +249,7 @@ fn show_findings(
     photos: Vec<Photo>,
     verdict: Verdict,
 ) -> anyhow::Result<()> {
-    let window = WindowLoop::new()?;
+    let window = WindowLoop::new("leave out --show")?;
     stop_with(&window);
     let mut session = session(args, wall, plan).with_verdict(photos, verdict);
     let answers = Answers::new(window.waker());
@@ -259,7 +262,7 @@ fn show_findings(
 
 /// Shows the patterns while photographs come in; then what was found, which is written if somebody accepts it.
 fn watch(args: &CalibrateArgs, wall: &Wall, plan: &Plan, folder: &Path) -> anyhow::Result<()> {
-    let window = WindowLoop::new()?;
+    let window = WindowLoop::new(WITHOUT_WINDOW)?;
     stop_with(&window);
     let (waker, (sender, news)) = (window.waker(), mpsc::channel());
     let report = move |photo| {
@@ -473,7 +476,7 @@ fn check(args: &CalibrateArgs, Verdict { wall, faults, .. }: &Verdict) -> anyhow
     let file = args.file.display();
     if !faults.is_empty() && wall.is_some() && !args.force {
         bail!(
-            "{} above, so {file} stays as it was: mend what they name, or write what was found with --force",
+            "{} above, so {file} stays as it was: mend what is named there, or write what was found with --force",
             counted(faults.len(), "fault")
         );
     }

@@ -82,7 +82,7 @@ fn read_show(file: &Path) -> anyhow::Result<(PathBuf, Show)> {
 }
 
 fn run_window(args: &WallArgs, inputs: Inputs, supervisor: Option<SupervisorLink>) -> anyhow::Result<()> {
-    let window = WindowLoop::new()?;
+    let window = WindowLoop::new("use --headless")?;
     stop::on_signal({
         let waker = window.waker();
         move |_| waker.close()

@@ -83,8 +83,12 @@ pub(crate) fn save_aside(path: Option<&Path>, wall: &Wall) -> anyhow::Result<Pat
 pub(crate) fn keep_old(path: &Path) -> anyhow::Result<PathBuf> {
     let text = read_text(path).map_err(|cause| WallError::Unreadable { path: path.display().to_string(), cause })?;
     let file = unused_beside(path, "old")?;
-    files::write(&file, |out| out.write_all(text.as_bytes()))
-        .map_err(|error| anyhow::anyhow!("{}: the old file cannot be kept: {error}", file.display()))?;
+    files::write(&file, |out| out.write_all(text.as_bytes())).map_err(|error| {
+        anyhow::anyhow!(
+            "{}: the old file cannot be kept: {error}: make its folder writable, or calibrate a copy of the wall file",
+            file.display()
+        )
+    })?;
     Ok(file)
 }
 

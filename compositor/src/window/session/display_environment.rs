@@ -2,14 +2,11 @@
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum DisplayError {
-    #[error(
-        "there is no display: neither WAYLAND_DISPLAY nor DISPLAY is set; run this in a graphical session, or use \
-         --headless"
-    )]
+    #[error("there is no display: neither WAYLAND_DISPLAY nor DISPLAY is set; run this in a graphical session")]
     NoDisplay,
     #[error(
         "the window needs {libraries}, which cannot be opened here; install: apt install {debian} (Debian, Ubuntu), \
-         dnf install {fedora} (Fedora), or pacman -S {arch} (Arch); or use --headless"
+         dnf install {fedora} (Fedora), or pacman -S {arch} (Arch)"
     )]
     MissingLibraries { libraries: String, debian: String, fedora: String, arch: String },
 }
@@ -85,7 +82,7 @@ mod tests {
         for is_set in [|_: &str| false, |name: &str| name == "HOME"] {
             let error = check_session(is_set, |_| true).unwrap_err();
             assert_eq!(error, DisplayError::NoDisplay);
-            assert!(error.to_string().contains("--headless") && !error.to_string().contains('\n'));
+            assert!(error.to_string().contains("graphical session") && !error.to_string().contains('\n'));
         }
     }
 
