@@ -96,6 +96,10 @@ fn bad_photographs_are_named_and_count_for_nothing() {
     let codebook = Codebook::new(&plan);
     let good = judge(&rig.wall, &plan, &all, None).wall.unwrap();
     rig.show(&plan, 0, &[]);
+    // Patterns are lost first where the light is brightest.
+    let bright = Camera { exposure: 2.0 * camera.exposure, ..camera.clone() };
+    let line = rig.read(&bright, &codebook, "bright in part", None, 9).line(&rig.wall);
+    assert!(line.contains("shows pattern 1 on") && line.contains("it is over-exposed"), "{line}");
     let mut add = |rig: &Rig, camera: Camera, obstacle, name: &str| {
         all.push(rig.read(&camera, &codebook, name, obstacle, 9));
         all.last().unwrap().line(&rig.wall)
