@@ -3,6 +3,7 @@
 use std::io;
 
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 
 use crate::{memory, model::mesh::Mesh};
 
@@ -70,6 +71,12 @@ impl MeshBuilder {
         self.mesh.vertices.push((position - self.mesh.origin).as_vec3().to_array());
     }
 
+    /// Adds `n` vertices, of which `f32` holds each; their number must have been [checked](Self::check_vertices).
+    pub(super) fn extend_vertices(&mut self, n: usize, position: impl Fn(usize) -> Vec3 + Sync) {
+        let origin = self.mesh.origin;
+        extend(&mut self.mesh.vertices, n, |k| (position(k).as_dvec3() - origin).as_vec3().to_array());
+    }
+
     /// Moves the origin to the first vertex that `f32` cannot hold. All before it are exact, so each coordinate is rounded
     /// once, and every machine finds the same origin as it reads.
     fn place_origin(&mut self, position: DVec3) {
@@ -87,6 +94,17 @@ impl MeshBuilder {
     pub(super) fn push_triangle(&mut self, corners: [u32; 3]) -> Result<(), AssemblyError> {
         check_count(self.mesh.triangles.len() + 1, "triangles")?;
         self.mesh.triangles.push(corners);
+        Ok(())
+    }
+
+    /// Adds `n` triangles.
+    pub(super) fn extend_triangles(
+        &mut self,
+        n: usize,
+        triangle: impl Fn(usize) -> [u32; 3] + Sync,
+    ) -> Result<(), AssemblyError> {
+        check_count(self.mesh.triangles.len().saturating_add(n), "triangles")?;
+        extend(&mut self.mesh.triangles, n, triangle);
         Ok(())
     }
 
@@ -119,14 +137,32 @@ impl MeshBuilder {
         let usable = |&index: &u32| {
             (index as usize) < vertices.len() && (all_usable || Mesh::is_usable(vertices[index as usize]))
         };
-        for triangle in &mut mesh.triangles {
-            if !triangle.iter().all(usable) {
+        let reject = |triangle: &mut [u32; 3]| {
+            let is_rejected = !triangle.iter().all(usable);
+            if is_rejected {
                 *triangle = Mesh::REJECTED;
-                mesh.n_rejected += 1;
             }
-        }
+            is_rejected
+        };
+        mesh.n_rejected += if mesh.triangles.len() < FEW {
+            mesh.triangles.iter_mut().map(reject).filter(|&is_rejected| is_rejected).count()
+        } else {
+            mesh.triangles.par_iter_mut().map(reject).filter(|&is_rejected| is_rejected).count()
+        };
         come_near(&mut mesh);
         mesh
+    }
+}
+
+/// Fewer items are not worth the way to other threads: a scene may have many small meshes.
+const FEW: usize = 1 << 14;
+
+/// Adds `n` items, in parallel if there are many.
+pub(super) fn extend<T: Send>(items: &mut Vec<T>, n: usize, item: impl Fn(usize) -> T + Sync) {
+    if n < FEW {
+        items.extend((0..n).map(item));
+    } else {
+        items.par_extend((0..n).into_par_iter().map(&item));
     }
 }
 

@@ -1,6 +1,6 @@
 //! A triangle mesh as read from a file: indexed, in file order, with unusable triangles marked.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec3, Vec3A};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::camera::UpAxis;
@@ -100,9 +100,16 @@ impl Mesh {
 
     /// The bounds of all triangles that can be traced.
     pub fn bounds(&self) -> Aabb {
-        let extend = |bounds: Aabb, triangle| self.corners(triangle).into_iter().flatten().fold(bounds, Aabb::extend);
-        let parts = (0..self.triangles.len()).into_par_iter().fold(|| Aabb::EMPTY, extend);
-        parts.reduce(|| Aabb::EMPTY, Aabb::union)
+        const TRIANGLES_PER_JOB: usize = 1 << 14;
+        let of_some = |triangles: &[[u32; 3]]| {
+            let (mut min, mut max) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
+            for &index in triangles.iter().filter(|triangle| **triangle != Self::REJECTED).flatten() {
+                let vertex = Vec3A::from_array(self.vertices[index as usize]);
+                (min, max) = (min.min(vertex), max.max(vertex));
+            }
+            Aabb { min: min.to_array(), max: max.to_array() }
+        };
+        self.triangles.par_chunks(TRIANGLES_PER_JOB).map(of_some).reduce(|| Aabb::EMPTY, Aabb::union)
     }
 
     /// The lowest and highest corner of the bounds, in world space.

@@ -2,9 +2,12 @@
 
 use std::borrow::Cow;
 
-use crate::formats::gltf::{
-    buffers::Buffers,
-    document::{Accessor, Document, Kind, Sparse},
+use crate::formats::{
+    assembly,
+    gltf::{
+        buffers::Buffers,
+        document::{Accessor, Document, Kind, Sparse},
+    },
 };
 
 /// The type of a number.
@@ -96,7 +99,8 @@ impl<'a> Elements<'a> {
 
     /// Numbers that are not in a buffer, `n_components` for each element.
     pub(super) fn from_floats(floats: &[f32], n_components: usize) -> Self {
-        let bytes: Vec<u8> = floats.iter().flat_map(|number| number.to_le_bytes()).collect();
+        let mut bytes = vec![0; 4 * floats.len()];
+        bytes.as_chunks_mut().0.iter_mut().zip(floats).for_each(|(bytes, number)| *bytes = number.to_le_bytes());
         let (scalar, stride) = (Scalar::F32, 4 * n_components);
         Self {
             bytes: bytes.into(),
@@ -109,9 +113,10 @@ impl<'a> Elements<'a> {
     }
 
     /// Indices that are not in a buffer.
-    pub(super) fn from_indices(indices: impl Iterator<Item = u32>) -> Self {
-        let bytes: Vec<u8> = indices.flat_map(u32::to_le_bytes).collect();
-        let count = bytes.len() / 4;
+    pub(super) fn from_indices(indices: impl ExactSizeIterator<Item = u32>) -> Self {
+        let count = indices.len();
+        let mut bytes = vec![0; 4 * count];
+        bytes.as_chunks_mut().0.iter_mut().zip(indices).for_each(|(bytes, index)| *bytes = index.to_le_bytes());
         Self { bytes: bytes.into(), stride: 4, scalar: Scalar::U32, n_components: 1, normalized: false, count }
     }
 
@@ -169,6 +174,38 @@ impl<'a> Elements<'a> {
             _ => 0.0,
         };
         std::array::from_fn(|k| if k < self.n_components { number(&bytes[k * width..]) } else { 0.0 })
+    }
+
+    /// The first `N` numbers of all elements, as [`Elements::get`] gives them: in place if they lie there as in memory.
+    pub(super) fn all<const N: usize>(&self) -> Cow<'_, [[f32; N]]>
+    where
+        [f32; N]: bytemuck::AnyBitPattern,
+    {
+        let is_tight = self.scalar == Scalar::F32 && self.n_components == N && self.stride == 4 * N;
+        match self.in_place(is_tight, 4 * N) {
+            Some(all) => Cow::Borrowed(all),
+            None => self.collect(|element| self.get(element)),
+        }
+    }
+
+    /// The first number of all elements, as [`Elements::index`] gives them: in place if they lie there as in memory.
+    pub(super) fn indices(&self) -> Cow<'_, [u32]> {
+        match self.in_place(self.scalar == Scalar::U32 && self.stride == 4, 4) {
+            Some(all) => Cow::Borrowed(all),
+            None => self.collect(|element| self.index(element)),
+        }
+    }
+
+    fn collect<T: Clone + Send>(&self, of_element: impl Fn(usize) -> T + Sync) -> Cow<'static, [T]> {
+        let mut all = Vec::new();
+        assembly::extend(&mut all, self.count, of_element);
+        all.into()
+    }
+
+    /// All elements, of `n_bytes` each, if they are tight, their bytes have this machine's order, and their place is aligned.
+    fn in_place<T: bytemuck::AnyBitPattern>(&self, is_tight: bool, n_bytes: usize) -> Option<&[T]> {
+        let bytes = self.bytes.get(..self.count * n_bytes).filter(|_| is_tight && cfg!(target_endian = "little"))?;
+        bytemuck::try_cast_slice(bytes).ok()
     }
 
     /// The first number of an element, an integer; [`u32::MAX`] if it is none.

@@ -41,6 +41,6 @@ impl Geometry {
 
     /// The corners of the triangles.
     pub(super) fn indices(&self) -> Elements<'static> {
-        Elements::from_indices(self.0.faces().iter().flatten().map(|index| index.0))
+        Elements::from_indices(self.0.faces().as_flattened().iter().map(|index| index.0))
     }
 }

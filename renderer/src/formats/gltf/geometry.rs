@@ -6,7 +6,7 @@ use glam::{DMat3, DMat4, DVec3, DVec4};
 use shared::srgb;
 
 use crate::formats::{
-    assembly::MeshBuilder,
+    assembly::{MeshBuilder, extend},
     file::Draft,
     gltf::{
         Problem,
@@ -146,9 +146,10 @@ impl<'a> Geometry<'a> {
         if self.n_elements > self.most_elements.saturating_mul(4) {
             return Err(Problem::TooManyCopies(self.most_elements));
         }
-        let (numbers, used) = used_vertices(attributes.indices.as_ref(), n_positions);
-        self.add_vertices(&attributes, &used, instance)?;
-        self.add_triangles(primitive, &attributes, &numbers, used.len(), instance)?;
+        let indices = attributes.indices.as_ref().map(Elements::indices);
+        let vertices = UsedVertices::new(indices.as_deref(), n_positions);
+        self.add_vertices(&attributes, &vertices, instance)?;
+        self.add_triangles(primitive, indices.as_deref(), n_positions, &vertices, instance)?;
         let material = primitive.material.and_then(|material| self.look.number(material));
         if let Some(index) = primitive.material.filter(|_| material.is_none()) {
             self.note(match self.document.materials.get(index) {
@@ -156,7 +157,9 @@ impl<'a> Geometry<'a> {
                 None => format!("there is no material {index}: a mesh is shown without one"),
             });
         }
-        self.of_triangles.resize(self.builder.n_triangles(), material.map_or(0, |number| number + 1));
+        if !self.document.materials.is_empty() {
+            self.of_triangles.resize(self.builder.n_triangles(), material.map_or(0, |number| number + 1));
+        }
         Ok(Ok(()))
     }
 
@@ -201,42 +204,53 @@ impl<'a> Geometry<'a> {
         })
     }
 
-    fn add_vertices(&mut self, attributes: &Attributes<'_>, used: &[u32], instance: &Instance) -> Result<(), Problem> {
+    fn add_vertices(
+        &mut self,
+        attributes: &Attributes<'_>,
+        vertices: &UsedVertices,
+        instance: &Instance,
+    ) -> Result<(), Problem> {
         let before = self.builder.n_vertices();
-        let after = before + used.len();
-        self.builder.check_vertices(used.len())?;
+        let after = before + vertices.n;
+        self.builder.check_vertices(vertices.n)?;
         let linear = DMat3::from_mat4(instance.transform);
         let cofactors = cofactors(linear);
         let is_far = instance.transform.w_axis.truncate().abs().max_element() > FAR;
-        for &vertex in used {
-            let vertex = vertex as usize;
-            let position = DVec3::from(attributes.positions.get::<3>(vertex).map(f64::from));
-            let transform = match &attributes.joints {
-                Some((joints, weights)) => blend(&instance.joints, joints, weights, vertex),
-                None => None,
-            };
-            let world = transform.unwrap_or(instance.transform).transform_point3(position);
-            self.builder.push_vertex(if is_far { world } else { world.as_vec3().as_dvec3() });
-            if let Some(normals) = &attributes.normals {
-                self.builder.mesh.normals.resize(self.builder.n_vertices() - 1, Normal::OF_TRIANGLE);
-                let normal = DVec3::from(normals.get::<3>(vertex).map(f64::from));
-                let turned = transform.map_or(cofactors, |transform| self::cofactors(DMat3::from_mat4(transform)));
-                self.builder.mesh.normals.push(Normal::new((turned * normal).as_vec3()));
-            }
+        let transform = |vertex: usize| {
+            let (joints, weights) = attributes.joints.as_ref()?;
+            blend(&instance.joints, joints, weights, vertex)
+        };
+        let positions = attributes.positions.all::<3>();
+        let world = |vertex: usize| {
+            let position = DVec3::from(positions[vertex].map(f64::from));
+            transform(vertex).unwrap_or(instance.transform).transform_point3(position)
+        };
+        if is_far {
+            (0..vertices.n).for_each(|k| self.builder.push_vertex(world(vertices.vertex(k))));
+        } else {
+            self.builder.extend_vertices(vertices.n, |k| world(vertices.vertex(k)).as_vec3());
         }
         let mesh = &mut self.builder.mesh;
-        if !mesh.normals.is_empty() {
+        if let Some(normals) = &attributes.normals {
+            let turned = |vertex: usize| {
+                let normal = DVec3::from(normals.get::<3>(vertex).map(f64::from));
+                let turn = transform(vertex).map_or(cofactors, |it| self::cofactors(DMat3::from_mat4(it)));
+                Normal::new((turn * normal).as_vec3())
+            };
+            mesh.normals.resize(before, Normal::OF_TRIANGLE);
+            extend(&mut mesh.normals, vertices.n, |k| turned(vertices.vertex(k)));
+        } else if !mesh.normals.is_empty() {
             mesh.normals.resize(after, Normal::OF_TRIANGLE);
         }
         if let Some(coordinates) = &attributes.texture_coordinates {
             mesh.texture_coordinates.resize(before, [0.0; 2]);
-            mesh.texture_coordinates.extend(used.iter().map(|&vertex| coordinates.get::<2>(vertex as usize)));
+            extend(&mut mesh.texture_coordinates, vertices.n, |k| coordinates.get::<2>(vertices.vertex(k)));
         } else if !mesh.texture_coordinates.is_empty() {
             mesh.texture_coordinates.resize(after, [0.0; 2]);
         }
         if let Some(colors) = &attributes.colors {
             mesh.colors.resize(before, [u8::MAX; 3]);
-            mesh.colors.extend(used.iter().map(|&vertex| colors.get::<3>(vertex as usize).map(srgb::encode)));
+            extend(&mut mesh.colors, vertices.n, |k| colors.get::<3>(vertices.vertex(k)).map(srgb::encode));
         } else if !mesh.colors.is_empty() {
             mesh.colors.resize(after, [u8::MAX; 3]);
         }
@@ -247,30 +261,30 @@ impl<'a> Geometry<'a> {
     fn add_triangles(
         &mut self,
         primitive: &Primitive,
-        attributes: &Attributes<'_>,
-        numbers: &[u32],
-        n_used: usize,
+        indices: Option<&[u32]>,
+        n_positions: usize,
+        vertices: &UsedVertices,
         instance: &Instance,
     ) -> Result<(), Problem> {
-        let first = (self.builder.n_vertices() - n_used) as u32;
-        let corner = |k: usize| match &attributes.indices {
-            Some(indices) => numbers.get(indices.index(k) as usize).map_or(u32::MAX, |number| first + number),
+        let first = (self.builder.n_vertices() - vertices.n) as u32;
+        let corner = |k: usize| match indices {
+            Some(indices) => vertices.place(indices[k]).map_or(u32::MAX, |place| first + place),
             None => first + k as u32,
         };
-        let n_corners = attributes.indices.as_ref().map_or(attributes.positions.count, |indices| indices.count);
+        let n_corners = indices.map_or(n_positions, <[u32]>::len);
         let is_mirrored = DMat3::from_mat4(instance.transform).determinant() < 0.0;
         let n_triangles = if primitive.mode == 4 { n_corners / 3 } else { n_corners.saturating_sub(2) };
-        for k in 0..n_triangles {
+        let triangle = |k: usize| {
             let [a, b, c] = match primitive.mode {
                 4 => [3 * k, 3 * k + 1, 3 * k + 2],
                 5 if k % 2 == 1 => [k, k + 2, k + 1],
                 5 => [k, k + 1, k + 2],
                 _ => [0, k + 1, k + 2],
-            }
-            .map(corner);
-            self.builder.push_triangle(if is_mirrored { [a, c, b] } else { [a, b, c] })?;
-        }
-        Ok(())
+            };
+            let [b, c] = if is_mirrored { [c, b] } else { [b, c] };
+            [corner(a), corner(b), corner(c)]
+        };
+        Ok(self.builder.extend_triangles(n_triangles, triangle)?)
     }
 
     /// The draft of all that was added.
@@ -284,21 +298,47 @@ impl<'a> Geometry<'a> {
     }
 }
 
-/// The number that each vertex gets, and the vertices that corners use, in order: many primitives may share one accessor.
-fn used_vertices(indices: Option<&Elements<'_>>, n_positions: usize) -> (Vec<u32>, Vec<u32>) {
-    let Some(indices) = indices else { return (Vec::new(), (0..n_positions as u32).collect()) };
-    let mut numbers = vec![u32::MAX; n_positions];
-    for k in 0..indices.count {
-        if let Some(number) = numbers.get_mut(indices.index(k) as usize) {
-            *number = 0;
+/// The vertices that a primitive uses: many primitives may share one accessor.
+struct UsedVertices {
+    /// How many there are.
+    n: usize,
+    /// Their numbers in the accessor, in order, and the place of each vertex among those; `None` if all are used.
+    some: Option<(Vec<u32>, Vec<u32>)>,
+}
+
+impl UsedVertices {
+    fn new(indices: Option<&[u32]>, n_positions: usize) -> Self {
+        let all = Self { n: n_positions, some: None };
+        let Some(indices) = indices else { return all };
+        let mut is_used = vec![false; n_positions];
+        for &index in indices {
+            if let Some(is_used) = is_used.get_mut(index as usize) {
+                *is_used = true;
+            }
+        }
+        if is_used.iter().all(|&is_used| is_used) {
+            return all;
+        }
+        let (mut used, mut places) = (Vec::new(), vec![u32::MAX; n_positions]);
+        for (vertex, place) in places.iter_mut().enumerate().filter(|(vertex, _)| is_used[*vertex]) {
+            *place = used.len() as u32;
+            used.push(vertex as u32);
+        }
+        Self { n: used.len(), some: Some((used, places)) }
+    }
+
+    /// The number of the k-th of them in the accessor.
+    fn vertex(&self, k: usize) -> usize {
+        self.some.as_ref().map_or(k, |(used, _)| used[k] as usize)
+    }
+
+    /// The place of a vertex among them; `None` if there is no such vertex.
+    fn place(&self, vertex: u32) -> Option<u32> {
+        match &self.some {
+            Some((_, places)) => places.get(vertex as usize).copied(),
+            None => Some(vertex).filter(|&vertex| (vertex as usize) < self.n),
         }
     }
-    let mut used = Vec::new();
-    for (vertex, number) in numbers.iter_mut().enumerate().filter(|(_, number)| **number == 0) {
-        *number = used.len() as u32;
-        used.push(vertex as u32);
-    }
-    (numbers, used)
 }
 
 /// The matrix that turns normals: the inverse transpose, times a factor of the determinant's sign, even if there is none.
