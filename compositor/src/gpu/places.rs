@@ -56,7 +56,7 @@ const _: () = assert!(size_of::<ProjectorRecord>() == 96);
 const EXACT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Float;
 
 /// Two numbers of sixteen bits hold a place to a thirtieth of a pixel in a rectangle of 4096 pixels. Meshes cost lavapipe 4
-/// to 9 % of a frame so, and 7 to 15 % with exact places. A format of two such numbers is optional in WebGPU.
+/// to 10 % of a frame so, and 7 to 15 % with exact places. A format of two such numbers is optional in WebGPU.
 const WITHIN: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
 
 impl PlaceStage {
