@@ -176,34 +176,27 @@ impl<'a> Elements<'a> {
         std::array::from_fn(|k| if k < self.n_components { number(&bytes[k * width..]) } else { 0.0 })
     }
 
-    /// The first `N` numbers of all elements, as [`Elements::get`] gives them: in place if they lie there as in memory.
-    pub(super) fn all<const N: usize>(&self) -> Cow<'_, [[f32; N]]>
+    /// All elements of `N` numbers, if they lie as in memory.
+    pub(super) fn in_place<const N: usize>(&self) -> Option<&[[f32; N]]>
     where
         [f32; N]: bytemuck::AnyBitPattern,
     {
         let is_tight = self.scalar == Scalar::F32 && self.n_components == N && self.stride == 4 * N;
-        match self.in_place(is_tight, 4 * N) {
-            Some(all) => Cow::Borrowed(all),
-            None => self.collect(|element| self.get(element)),
-        }
+        self.cast(is_tight, 4 * N)
     }
 
-    /// The first number of all elements, as [`Elements::index`] gives them: in place if they lie there as in memory.
+    /// The first number of all elements, as [`Elements::index`] gives them: in place if they lie as in memory.
     pub(super) fn indices(&self) -> Cow<'_, [u32]> {
-        match self.in_place(self.scalar == Scalar::U32 && self.stride == 4, 4) {
-            Some(all) => Cow::Borrowed(all),
-            None => self.collect(|element| self.index(element)),
+        if let Some(indices) = self.cast(self.scalar == Scalar::U32 && self.stride == 4, 4) {
+            return Cow::Borrowed(indices);
         }
-    }
-
-    fn collect<T: Clone + Send>(&self, of_element: impl Fn(usize) -> T + Sync) -> Cow<'static, [T]> {
-        let mut all = Vec::new();
-        assembly::extend(&mut all, self.count, of_element);
-        all.into()
+        let mut indices = Vec::new();
+        assembly::extend(&mut indices, self.count, |element| self.index(element));
+        indices.into()
     }
 
     /// All elements, of `n_bytes` each, if they are tight, their bytes have this machine's order, and their place is aligned.
-    fn in_place<T: bytemuck::AnyBitPattern>(&self, is_tight: bool, n_bytes: usize) -> Option<&[T]> {
+    fn cast<T: bytemuck::AnyBitPattern>(&self, is_tight: bool, n_bytes: usize) -> Option<&[T]> {
         let bytes = self.bytes.get(..self.count * n_bytes).filter(|_| is_tight && cfg!(target_endian = "little"))?;
         bytemuck::try_cast_slice(bytes).ok()
     }

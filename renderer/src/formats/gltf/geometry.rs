@@ -220,9 +220,10 @@ impl<'a> Geometry<'a> {
             let (joints, weights) = attributes.joints.as_ref()?;
             blend(&instance.joints, joints, weights, vertex)
         };
-        let positions = attributes.positions.all::<3>();
+        let in_place = attributes.positions.in_place::<3>();
         let world = |vertex: usize| {
-            let position = DVec3::from(positions[vertex].map(f64::from));
+            let position = in_place.map_or_else(|| attributes.positions.get::<3>(vertex), |all| all[vertex]);
+            let position = DVec3::from(position.map(f64::from));
             transform(vertex).unwrap_or(instance.transform).transform_point3(position)
         };
         if is_far {
