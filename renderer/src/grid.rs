@@ -60,7 +60,7 @@ pub(crate) enum Structure {
 }
 
 impl Structure {
-    /// References that the order of the mesh still changes: a tree is made after it.
+    /// Triangles of the cells, in the mesh as loaded until it is ordered; a tree has none.
     fn references_mut(&mut self) -> &mut [u32] {
         match self {
             Self::Tree(_) => &mut [],

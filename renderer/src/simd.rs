@@ -87,6 +87,16 @@ macro_rules! call_with_features {
 #[cfg(target_arch = "x86_64")]
 use call_with_features;
 
+/// The numbers from `first` on, for the lanes of [`Simd::load_bits`].
+#[inline(always)]
+pub(crate) fn consecutive(first: u32) -> [u32; 16] {
+    let mut numbers = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
+    for number in &mut numbers {
+        *number = first.wrapping_add(*number);
+    }
+    numbers
+}
+
 /// An instruction set: a vector of [`Simd::LANES`] single-precision numbers, and operations on vectors and slices.
 pub(crate) trait Simd: Copy {
     /// Number of lanes: 8 or 16.
@@ -141,17 +151,6 @@ pub(crate) trait Simd: Copy {
     ///
     /// `coordinates` has at least `3 * vertex + 4` numbers for each of the first [`Simd::LANES`] vertices.
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3];
-    /// Writes the numbers with a bit in `mask`, of up to [`Simd::LANES`], in order to a slice with room for all lanes.
-    /// Returns how many there are; lanes after them are undefined.
-    #[inline(always)]
-    fn compress(from: &[u32], mask: u32, to: &mut [u32]) -> usize {
-        let mut n = 0;
-        for (lane, &number) in from.iter().enumerate() {
-            to[n] = number;
-            n += (mask >> lane & 1) as usize;
-        }
-        n
-    }
     /// Loads the first [`Simd::LANES`] numbers of a slice as they are, without conversion.
     fn load_bits(from: &[u32]) -> Self;
     /// Moves each lane i to lane i ^ `flip`, which is less than [`Simd::LANES`].
@@ -291,15 +290,11 @@ mod tests {
                 }
             }
             for mask in 0..1u32 << S::LANES {
-                let (mut kept, mut copied) = ([0; 16], [0; 16]);
+                let mut kept = [0; 16];
                 let n = S::load_bits(&numbers).compress_bits_to(mask, &mut kept);
-                assert_eq!(S::compress(&numbers[..S::LANES], mask, &mut copied), n);
                 let expected = (0..S::LANES).filter(|lane| mask >> lane & 1 == 1).map(|lane| numbers[lane]);
-                assert!(expected.clone().eq(kept[..n].iter().copied()), "{mask:b}");
-                assert!(expected.eq(copied[..n].iter().copied()), "{mask:b}");
+                assert!(expected.eq(kept[..n].iter().copied()), "{mask:b}");
             }
-            let n = S::compress(&numbers[..3], u32::MAX, &mut [0; 16]);
-            assert_eq!(n, 3);
         }
     }
 

@@ -21,8 +21,8 @@ use crate::{
     simd::InstructionSet,
 };
 
-/// Bytes of a reference, with its part of leaves and nodes.
-const TREE_BYTES_PER_REFERENCE: u64 = 5;
+/// Bytes of a triangle or copy in a tree's leaf, with its part of leaves and nodes.
+const TREE_BYTES_PER_REFERENCE: u64 = TracedMesh::BYTES_PER_COPY + 1;
 
 /// Bytes of its box, with its part of the hierarchy's; they are made after the loaded mesh is dropped.
 const BOX_BYTES_PER_REFERENCE: u64 = 7;
@@ -49,7 +49,7 @@ impl Grid {
         let program_bytes = PROGRAM_BYTES + n_bytes as u64;
         let bounds = mesh.bounds();
         if bounds.is_empty() {
-            return Self::empty(TracedMesh::new(mesh, &mut []));
+            return Self::empty(TracedMesh::new(mesh, Vec::new()));
         }
 
         // Choose the density, and find the memory that is left for the grid beside the mesh.
@@ -57,6 +57,7 @@ impl Grid {
         let mesh_bytes = program_bytes + TracedMesh::peak_bytes(&mesh);
         let mesh_bytes_in_order = program_bytes + TracedMesh::bytes_in_order(&mesh);
         let most_bytes = options.memory_budget.remaining_beside(mesh_bytes);
+        let loaded_bytes = mesh.n_bytes() as u64;
         // Each cell has a part of the references that the budget allows, so their sum must have room.
         let references = (options.storage == Storage::Tree).then(|| choice::references(&mesh, density)).flatten();
         let enough_bytes = references.map(|n| 2 * n).map(|n| {
@@ -68,12 +69,16 @@ impl Grid {
                 let most_bytes_in_order = options.memory_budget.remaining_beside(mesh_bytes_in_order);
                 Self::tree(mesh, &bounds, density, [most_bytes, most_bytes_in_order], progress)
             }
-            Storage::Plain | Storage::RowDisplacement => Self::uniform(mesh, &bounds, density, options, most_bytes),
+            Storage::Plain | Storage::RowDisplacement => {
+                let n_bytes = TracedMesh::BYTES_PER_COPY * mesh.triangles.len() as u64;
+                Self::uniform(mesh, &bounds, density, options, most_bytes.saturating_sub(n_bytes))
+            }
         };
 
         // Compare the peak with the budget; boxes are measured after the loaded mesh is dropped.
-        let (grid_bytes, box_bytes) = (grid.n_bytes() as u64, grid.figures().box_bytes.unwrap_or(0) as u64);
-        let all_bytes = (mesh_bytes + grid_bytes - box_bytes).max(mesh_bytes_in_order + grid_bytes);
+        let all_bytes = program_bytes + (grid.mesh.n_bytes() + grid.n_bytes()) as u64;
+        let box_bytes = grid.figures().box_bytes.unwrap_or(0) as u64;
+        let all_bytes = all_bytes.max(all_bytes + loaded_bytes - box_bytes);
         let budget = options.memory_budget;
         let needed_bytes = budget.is_exceeded_by(all_bytes).then_some(all_bytes);
         let is_short = is_coarser || needed_bytes.is_some();
@@ -141,11 +146,11 @@ impl Grid {
         let is_coarser = builder.hit_memory_limit.into_inner();
 
         // Order the mesh by the tree, which drops the loaded mesh, and measure the boxes.
-        let TreePart { nodes, leaf_ends: mut leaf_starts, mut references } = part;
+        let TreePart { nodes, leaf_ends: mut leaf_starts, references } = part;
         leaf_starts.insert(0, 0);
-        let mesh = TracedMesh::new(mesh, &mut references);
+        let mesh = TracedMesh::new(mesh, references);
         let leaf_cubes = leaf_cubes(dims, &bricks, &nodes, leaf_starts.len() - 1);
-        let boxes = QuantizedBoxes::new(&space, &leaf_cubes, &leaf_starts, &references, &mesh);
+        let boxes = QuantizedBoxes::new(&space, &leaf_cubes, &leaf_starts, &mesh);
         let extent = space.point_to_cells(max).to_array();
         let extent = [0, 1, 2].map(|axis| (extent[axis] as u32 + 1).min(dims[axis] * BRICK_SIZE));
         let hierarchy = Hierarchy::default();
@@ -155,14 +160,13 @@ impl Grid {
             bricks: bricks.into(),
             nodes: nodes.into(),
             leaf_starts: leaf_starts.into(),
-            references: references.into(),
             boxes,
             leaf_cubes: leaf_cubes.into(),
             hierarchy,
         };
         let n_bytes_left = most_bytes_in_order.saturating_sub(tree.figures().n_bytes() as u64);
         let is_over_triangles =
-            |n_bytes_left| Hierarchy::is_over_triangles(mesh.n_triangles(), tree.references.len(), n_bytes_left);
+            |n_bytes_left| Hierarchy::is_over_triangles(mesh.n_triangles(), mesh.n_copies(), n_bytes_left);
         let is_limited = is_over_triangles(u64::MAX) && !is_over_triangles(n_bytes_left);
         tree.hierarchy = if is_over_triangles(n_bytes_left) {
             Tree::hierarchy_over_triangles(&space, &mesh)
@@ -200,7 +204,7 @@ impl Grid {
             }
             density /= 2.0;
         };
-        let traced = TracedMesh::new(mesh, structure.references_mut());
+        let traced = TracedMesh::in_order_of(mesh, structure.references_mut());
         (Self { space, structure, density, ..Self::empty(traced) }, density < requested_density)
     }
 

@@ -1,7 +1,7 @@
 //! Chooses the density of a scene's tree: that of the fewest references, which is the fastest and nearly the smallest.
 //!
 //! The tree divides cells into 4×4×4 until each holds at most [`LEAF_SIZE`] triangles, so densities 64 times apart give
-//! the same leaves. In between, leaves of an even scan hold 16 to 256 triangles; the smaller they are, the more leaves
+//! the same leaves. In between, leaves of an even scan hold 8 to 512 triangles; the smaller they are, the more leaves
 //! list the same triangle. The model predicts these references:
 //!
 //! 1. A triangle in a random position overlaps on average `1 + B/h + P/h²` cubes of side h, where B is the sum of the

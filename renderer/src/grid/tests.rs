@@ -360,7 +360,8 @@ fn a_mesh_beyond_the_budget_gets_a_grid_and_a_line_that_says_so() {
         let shortage = grid.shortage().unwrap().to_string();
         assert!(shortage.contains("M, more than --memory-budget 16M"), "{storage}: {shortage}");
         assert!(grid.n_bytes() * 4 <= TracedMesh::peak_bytes(&mesh) as usize + PROGRAM_BYTES as usize);
-        assert!(grid.figures().lists > 10_000, "{storage} is not starved");
+        let lists = grid.figures().lists;
+        assert!(lists > 2_500, "{storage} has {lists}");
     }
 }
 

@@ -1,7 +1,11 @@
 //! The mesh that rays hit: ordered so that triangles close in space are close in memory.
 
+mod corners;
 mod stored;
 
+use std::ops::Range;
+
+use bytemuck::Pod;
 use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -21,10 +25,12 @@ use crate::{
         materials::{PointMaterial, TracedMaterials},
     },
 };
+use corners::Corners;
 
 /// A mesh in the order of a grid's cells, without triangles that cannot be hit.
 ///
-/// A triangle index is a position here; [`TracedMesh::file_index`] gives the triangle's number in the file.
+/// A triangle index is a position here. A triangle that lies in several leaves of a tree has a copy in each, with the same
+/// [`TracedMesh::file_index`], which is the triangle's number in the file.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct TracedMesh {
     /// Positions, and one more at the end, see [`TracedMesh::coordinates`].
@@ -32,9 +38,11 @@ pub struct TracedMesh {
     vertices: Section<[f32; 3]>,
     /// The vertices of each triangle, all within [`TracedMesh::coordinates`].
     #[serde(skip)]
-    triangles: Section<[u32; 3]>,
+    corners: Corners,
     #[serde(skip)]
     file_indices: Section<u32>,
+    /// Triangles without their copies.
+    n_triangles: usize,
     /// sRGB, one for each vertex; empty in a mesh without colours.
     #[serde(skip)]
     colors: Section<[u8; 3]>,
@@ -52,73 +60,50 @@ pub struct TracedMesh {
 }
 
 impl TracedMesh {
-    /// Most bytes that a mesh takes while it is ordered, as loaded and as traced, without the references.
+    /// Bytes of a triangle and of each of its copies, without vertices.
+    pub(crate) const BYTES_PER_COPY: u64 = size_of::<u32>() as u64 + Corners::BYTES_PER_TRIANGLE;
+
+    /// Bytes that a mesh takes while it is ordered, as loaded and as traced, without triangles and copies of the latter.
     pub(crate) fn peak_bytes(mesh: &Mesh) -> u64 {
-        // With the renumbering of triangles and vertices in both directions.
-        let (n_triangles, n_vertices) = (mesh.triangles.len() as u64, mesh.vertices.len() as u64);
-        let geometry_bytes = mesh.n_bytes() - mesh.materials.n_bytes();
-        geometry_bytes as u64
-            + Self::geometry_bytes_in_order(mesh)
-            + 4 * n_triangles
-            + 8 * n_vertices
-            + TracedMaterials::peak_bytes(&mesh.materials)
+        let geometry_bytes = (mesh.n_bytes() - mesh.materials.n_bytes()) as u64;
+        let numbers_bytes = size_of::<u32>() as u64 * vertices_in_order(mesh);
+        geometry_bytes + Self::vertex_bytes(mesh) + numbers_bytes + TracedMaterials::peak_bytes(&mesh.materials)
     }
 
-    /// Most bytes that an ordered mesh takes, without the references.
+    /// Bytes of an ordered mesh, without triangles and their copies.
     pub(crate) fn bytes_in_order(mesh: &Mesh) -> u64 {
-        Self::geometry_bytes_in_order(mesh) + TracedMaterials::n_bytes_of(&mesh.materials)
+        Self::vertex_bytes(mesh) + TracedMaterials::n_bytes_of(&mesh.materials)
     }
 
-    fn geometry_bytes_in_order(mesh: &Mesh) -> u64 {
-        let (n_triangles, n_vertices) = (mesh.triangles.len() as u64, mesh.vertices.len() as u64);
-        // With file indices.
-        let of_vertices =
-            size_of_val(&*mesh.colors) + size_of_val(&*mesh.normals) + size_of_val(&*mesh.texture_coordinates);
-        16 * n_triangles + 12 * n_vertices + of_vertices as u64
+    fn vertex_bytes(mesh: &Mesh) -> u64 {
+        let bytes_per_vertex = size_of::<[f32; 3]>()
+            + usize::from(!mesh.colors.is_empty()) * size_of::<[u8; 3]>()
+            + usize::from(!mesh.normals.is_empty()) * size_of::<Normal>()
+            + usize::from(!mesh.texture_coordinates.is_empty()) * size_of::<[f32; 2]>();
+        bytes_per_vertex as u64 * vertices_in_order(mesh)
     }
 
-    /// Orders a mesh by the first mention of each triangle in `references`, which become triangle indices.
-    pub fn new(mesh: Mesh, references: &mut [u32]) -> Self {
+    /// A mesh of these triangles in this order, by their number in `mesh`; copies of a triangle have the same.
+    pub fn new(mesh: Mesh, file_indices: Vec<u32>) -> Self {
         let (bounds, bulk_bounds, facing) = (mesh.bounds(), mesh.bulk().bounds, mesh.facing());
         let Mesh { vertices, triangles, colors, normals, texture_coordinates, materials, origin, .. } = mesh;
-
-        // Number the triangles in the order of their first mention.
-        let mut file_indices = Vec::new();
-        let mut renumbering = Renumbering::new(triangles.len());
-        for &reference in &*references {
-            renumbering.assign(reference, |file_index| file_indices.push(file_index));
-        }
-        let Renumbering { new_indices, .. } = renumbering;
-
-        // Replace the references, and number the vertices in the order of these triangles.
-        let replace = || references.par_iter_mut().for_each(|reference| *reference = new_indices[*reference as usize]);
-        let mut kept_vertices = Vec::new();
-        let mut vertex_renumbering = Renumbering::new(vertices.len());
-        let renumber_vertices = || {
-            for vertex in file_indices.iter().flat_map(|&file_index| triangles[file_index as usize]) {
-                vertex_renumbering.assign(vertex, |vertex| kept_vertices.push(vertex));
-            }
-        };
-        rayon::join(replace, renumber_vertices);
-        drop(new_indices);
-
-        // Copy in the new order, in parallel: the first write to fresh memory waits for page faults.
-        let in_order = file_indices.par_iter().map(|&file_index| triangles[file_index as usize]);
-        let triangles_in_order: Vec<_> =
-            in_order.map(|corners| corners.map(|vertex| vertex_renumbering.new_indices[vertex as usize])).collect();
-        drop((triangles, vertex_renumbering));
+        let n_triangles = first_copies(&file_indices, triangles.len()).count();
+        let (corners, kept_vertices) = Corners::new(&file_indices, &triangles);
+        drop(triangles);
         let materials = TracedMaterials::new(materials, &file_indices);
-        let (is_colored, has_normals) = (!colors.is_empty(), !normals.is_empty());
-        let kept_normals = kept_vertices.iter().filter(|_| has_normals);
         let is_textured = materials.has_textures() && !texture_coordinates.is_empty();
-        let kept_coordinates = kept_vertices.iter().filter(|_| is_textured);
         Self {
-            vertices: padded(kept_vertices.par_iter().map(|&vertex| vertices[vertex as usize])).into(),
-            triangles: triangles_in_order.into(),
+            vertices: of_vertices(&vertices, &kept_vertices, 1).into(),
+            corners,
+            n_triangles,
             file_indices: file_indices.into(),
-            colors: kept_vertices.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
-            normals: kept_normals.map(|&vertex| normals[vertex as usize]).collect(),
-            texture_coordinates: kept_coordinates.map(|&vertex| texture_coordinates[vertex as usize]).collect(),
+            colors: of_vertices(&colors, &kept_vertices, 0).into(),
+            normals: of_vertices(&normals, &kept_vertices, 0).into(),
+            texture_coordinates: if is_textured {
+                of_vertices(&texture_coordinates, &kept_vertices, 0).into()
+            } else {
+                Section::default()
+            },
             materials,
             bounds,
             bulk_bounds,
@@ -127,8 +112,32 @@ impl TracedMesh {
         }
     }
 
-    /// Number of triangles.
+    /// A mesh without copies: its triangles have the order of their first mention in `references`, which become triangle
+    /// indices.
+    pub(crate) fn in_order_of(mesh: Mesh, references: &mut [u32]) -> Self {
+        let file_indices: Vec<u32> =
+            first_copies(references, mesh.triangles.len()).map(|nth| references[nth]).collect();
+        let mut triangle_indices = vec![u32::MAX; mesh.triangles.len()];
+        for (triangle_idx, &file_index) in file_indices.iter().enumerate() {
+            triangle_indices[file_index as usize] = triangle_idx as u32;
+        }
+        references.par_iter_mut().for_each(|reference| *reference = triangle_indices[*reference as usize]);
+        Self::new(mesh, file_indices)
+    }
+
+    /// The first copies of all triangles, by triangle index.
+    pub(crate) fn first_copies(&self) -> Vec<u32> {
+        let n_in_file = self.file_indices.par_iter().max().map_or(0, |&last| last as usize + 1);
+        first_copies(&self.file_indices, n_in_file).map(|triangle_idx| triangle_idx as u32).collect()
+    }
+
+    /// Number of triangles, without their copies.
     pub fn n_triangles(&self) -> usize {
+        self.n_triangles
+    }
+
+    /// Number of triangles and copies: triangle indices are below it.
+    pub fn n_copies(&self) -> usize {
         self.file_indices.len()
     }
 
@@ -141,7 +150,7 @@ impl TracedMesh {
     /// A triangle's corners, in model space.
     #[inline]
     pub fn corners(&self, triangle_idx: u32) -> [[f32; 3]; 3] {
-        self.triangles[triangle_idx as usize].map(|vertex| self.vertices[vertex as usize])
+        self.corners.of(triangle_idx).map(|vertex| self.vertices[vertex as usize])
     }
 
     /// A vector of any length across a triangle, on the side where its corners run counter-clockwise.
@@ -211,7 +220,7 @@ impl TracedMesh {
     #[inline]
     fn corner_coordinates(&self, triangle_idx: u32) -> Option<[Vec2; 3]> {
         let coordinates = |vertex: u32| Vec2::from_array(self.texture_coordinates[vertex as usize]);
-        (!self.texture_coordinates.is_empty()).then(|| self.triangles[triangle_idx as usize].map(coordinates))
+        (!self.texture_coordinates.is_empty()).then(|| self.corners.of(triangle_idx).map(coordinates))
     }
 
     /// Bounds of all triangles, in model space.
@@ -232,7 +241,7 @@ impl TracedMesh {
     /// Bytes in memory.
     pub fn n_bytes(&self) -> usize {
         size_of_val(&*self.vertices)
-            + size_of_val(&*self.triangles)
+            + self.corners.n_bytes()
             + size_of_val(&*self.file_indices)
             + size_of_val(&*self.colors)
             + size_of_val(&*self.texture_coordinates)
@@ -240,32 +249,50 @@ impl TracedMesh {
             + size_of_val(&*self.normals)
     }
 
+    /// Hints that these triangles of a leaf will be read soon.
     #[inline(always)]
-    pub(crate) fn prefetch<S: Simd>(&self, triangle_idx: u32) {
-        S::prefetch(&self.triangles, triangle_idx as usize);
+    pub(crate) fn prefetch_leaf<S: Simd>(&self, triangles: Range<usize>) {
+        self.corners.prefetch_windows::<S>(triangles.start);
+        let mut at = triangles.start;
+        while at < triangles.end {
+            S::prefetch(&self.file_indices, at);
+            at += 16;
+        }
     }
 
-    /// Hints that a triangle's corners will be read soon; its vertex indices are read now.
+    /// Hints that a triangle's corners will be named soon.
     #[inline(always)]
-    pub(crate) fn prefetch_corners<S: Simd>(&self, triangle_idx: u32) {
-        if let Some(&[a, b, c]) = self.triangles.get(triangle_idx as usize) {
-            S::prefetch(&self.vertices, a as usize);
-            S::prefetch(&self.vertices, b as usize);
-            S::prefetch(&self.vertices, c as usize);
-        }
+    pub(crate) fn prefetch<S: Simd>(&self, triangle_idx: u32) {
+        self.corners.prefetch::<S>(triangle_idx);
+    }
+
+    /// The vertices of a triangle, which will be read soon: see [`TracedMesh::gather_vertices`].
+    #[inline(always)]
+    pub(crate) fn prefetch_vertices<S: Simd>(&self, triangle_idx: u32) -> [u32; 3] {
+        let [a, b, c] = self.corners.of(triangle_idx);
+        S::prefetch(&self.vertices, a as usize);
+        S::prefetch(&self.vertices, b as usize);
+        S::prefetch(&self.vertices, c as usize);
+        [a, b, c]
     }
 
     /// Gathers the coordinates of triangles' corners, one triangle per lane, by corner and axis.
     #[inline(always)]
     pub(crate) fn gather_corners<S: Simd>(&self, triangle_indices: &[u32; 16]) -> [[S; 3]; 3] {
-        let mut vertices = [[0; 16]; 3];
-        for lane in 0..S::LANES {
-            let [a, b, c] = self.triangles[triangle_indices[lane] as usize];
-            (vertices[0][lane], vertices[1][lane], vertices[2][lane]) = (a, b, c);
-        }
+        let [a, b, c] = &self.corners.of_lanes::<S>(triangle_indices);
+        // SAFETY: all vertices of triangles exist.
+        unsafe { self.gather_vertices([a, b, c]) }
+    }
+
+    /// Gathers the coordinates of vertices, one triangle per lane, by corner and axis.
+    ///
+    /// # Safety
+    ///
+    /// The vertices in the first [`Simd::LANES`] lanes are those of triangles of this mesh.
+    #[inline(always)]
+    pub(crate) unsafe fn gather_vertices<S: Simd>(&self, [a, b, c]: [&[u32; 16]; 3]) -> [[S; 3]; 3] {
         let coordinates = self.coordinates();
-        let [a, b, c] = &vertices;
-        // SAFETY: all vertices of triangles exist, and another follows the last.
+        // SAFETY: the caller's, and another vertex follows the last.
         unsafe { [S::gather_xyz(coordinates, a), S::gather_xyz(coordinates, b), S::gather_xyz(coordinates, c)] }
     }
 
@@ -274,7 +301,7 @@ impl TracedMesh {
     pub(crate) fn gather_corner_normals(&self, triangle_indices: &[u32; 16]) -> [[Normal; 16]; 3] {
         let mut normals = [[Normal::OF_TRIANGLE; 16]; 3];
         for (lane, &triangle_idx) in triangle_indices.iter().enumerate() {
-            let [a, b, c] = self.triangles[triangle_idx as usize];
+            let [a, b, c] = self.corners.of(triangle_idx);
             normals[0][lane] = self.normals[a as usize];
             normals[1][lane] = self.normals[b as usize];
             normals[2][lane] = self.normals[c as usize];
@@ -287,7 +314,7 @@ impl TracedMesh {
     pub(crate) fn gather_corner_colors(&self, triangle_indices: &[u32; 16]) -> [[[f32; 16]; 3]; 3] {
         let mut colors = [[[0.0; 16]; 3]; 3];
         for (lane, &triangle_idx) in triangle_indices.iter().enumerate() {
-            let corners = self.triangles[triangle_idx as usize];
+            let corners = self.corners.of(triangle_idx);
             for (corner, &vertex) in corners.iter().enumerate() {
                 let [red, green, blue] = self.colors[vertex as usize].map(srgb::decode);
                 let of_corner = &mut colors[corner];
@@ -302,7 +329,7 @@ impl TracedMesh {
     pub(crate) fn gather_corner_coordinates(&self, triangle_indices: &[u32; 16]) -> [[[f32; 16]; 2]; 3] {
         let mut coordinates = [[[0.0; 16]; 2]; 3];
         for (lane, &triangle_idx) in triangle_indices.iter().enumerate() {
-            let corners = self.triangles[triangle_idx as usize];
+            let corners = self.corners.of(triangle_idx);
             for (corner, &vertex) in corners.iter().enumerate() {
                 let [u, v] = self.texture_coordinates[vertex as usize];
                 (coordinates[corner][0][lane], coordinates[corner][1][lane]) = (u, v);
@@ -317,33 +344,40 @@ impl TracedMesh {
     }
 }
 
-/// Vertices and one more, so that four numbers can be loaded from the last.
-fn padded(vertices: impl IndexedParallelIterator<Item = [f32; 3]>) -> Vec<[f32; 3]> {
-    let mut padded = Vec::with_capacity(vertices.len() + 1);
-    padded.par_extend(vertices);
-    padded.push([0.0; 3]);
-    padded
+/// Vertices of an ordered mesh, as they mostly are: those that far triangles share are there twice.
+fn vertices_in_order(mesh: &Mesh) -> u64 {
+    mesh.vertices.len() as u64 * 3 / 2
 }
 
-/// New indices, assigned in the order of first mention.
-struct Renumbering {
-    new_indices: Vec<u32>,
-    n_assigned: u32,
-}
-
-impl Renumbering {
-    fn new(n: usize) -> Self {
-        Self { new_indices: vec![u32::MAX; n], n_assigned: 0 }
+/// Values of the kept vertices, and so many zeros; none where the mesh has none. In parallel: the first write to fresh memory
+/// waits for page faults.
+fn of_vertices<T: Pod + Send + Sync>(values: &[T], kept: &[Vec<u32>], n_zeros: usize) -> Vec<T> {
+    if values.is_empty() {
+        return vec![T::zeroed(); n_zeros];
     }
-
-    /// Assigns the next index to `old` and calls `first`, if it has none yet.
-    #[inline]
-    fn assign(&mut self, old: u32, first: impl FnOnce(u32)) {
-        let new_index = &mut self.new_indices[old as usize];
-        if *new_index == u32::MAX {
-            *new_index = self.n_assigned;
-            self.n_assigned += 1;
-            first(old);
+    let mut in_order = vec![T::zeroed(); kept.iter().map(Vec::len).sum::<usize>() + n_zeros];
+    let mut rest = &mut *in_order;
+    let mut copies = Vec::with_capacity(kept.len());
+    for of_part in kept {
+        let (part, others) = rest.split_at_mut(of_part.len());
+        copies.push((part, of_part));
+        rest = others;
+    }
+    copies.into_par_iter().for_each(|(part, of_part)| {
+        for (value, &vertex) in part.iter_mut().zip(of_part) {
+            *value = values[vertex as usize];
         }
-    }
+    });
+    in_order
+}
+
+/// Positions of each triangle's first mention in a list of numbers below `n_in_file`.
+fn first_copies(file_indices: &[u32], n_in_file: usize) -> impl Iterator<Item = usize> {
+    let mut is_known = vec![0u64; n_in_file.div_ceil(64)];
+    file_indices.iter().enumerate().filter_map(move |(triangle_idx, &file_index)| {
+        let (word, bit) = (&mut is_known[file_index as usize / 64], 1 << (file_index % 64));
+        let is_first = *word & bit == 0;
+        *word |= bit;
+        is_first.then_some(triangle_idx)
+    })
 }

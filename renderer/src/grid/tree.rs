@@ -46,12 +46,9 @@ pub(crate) struct Tree {
     pub(crate) bricks: Section<u32>,
     #[serde(skip)]
     pub(crate) nodes: Section<TreeNode>,
-    /// Index of each leaf's first reference, and the number of references at the end.
+    /// Each leaf's first triangle, and the number of triangles with their copies at the end.
     #[serde(skip)]
     pub(crate) leaf_starts: Section<u32>,
-    /// Triangle indices, leaf after leaf.
-    #[serde(skip)]
-    pub(crate) references: Section<u32>,
     pub(crate) boxes: QuantizedBoxes,
     /// The cube of each leaf.
     #[serde(skip)]
@@ -85,22 +82,22 @@ impl Tree {
             bricks: vec![Self::EMPTY].into(),
             nodes: Section::default(),
             leaf_starts: vec![0].into(),
-            references: Section::default(),
             boxes: QuantizedBoxes::default(),
             leaf_cubes: Section::default(),
             hierarchy: Hierarchy::default(),
         }
     }
 
+    /// The triangle indices of a leaf.
     #[inline(always)]
-    pub(crate) fn references_of(&self, leaf: u32) -> Range<usize> {
+    pub(crate) fn triangles_of(&self, leaf: u32) -> Range<usize> {
         let leaf = leaf as usize;
         self.leaf_starts[leaf] as usize..self.leaf_starts[leaf + 1] as usize
     }
 
     /// The hierarchy over this tree's leaves.
     pub(crate) fn hierarchy_over_leaves(&self) -> Hierarchy {
-        let bounds = |leaf: u32| self.boxes.leaf_bounds(leaf, self.leaf_cubes[leaf as usize], self.references_of(leaf));
+        let bounds = |leaf: u32| self.boxes.leaf_bounds(leaf, self.leaf_cubes[leaf as usize], self.triangles_of(leaf));
         Hierarchy::over_leaves((0..self.leaf_cubes.len()).into_par_iter().map(|leaf| bounds(leaf as u32)))
     }
 
@@ -109,9 +106,9 @@ impl Tree {
         let bounds = |triangle_idx: u32| {
             let to_cells = |corner: [f32; 3]| space.point_to_cells(Vec3::from_array(corner).as_dvec3());
             let [a, b, c] = mesh.corners(triangle_idx).map(to_cells);
-            Bounds::new(a.min(b).min(c), a.max(b).max(c))
+            (triangle_idx, Bounds::new(a.min(b).min(c), a.max(b).max(c)))
         };
-        Hierarchy::over_triangles((0..mesh.n_triangles()).into_par_iter().map(|triangle| bounds(triangle as u32)))
+        Hierarchy::over_triangles(mesh.first_copies().into_par_iter().map(bounds))
     }
 
     /// Sizes and counts, without storage and density.
@@ -119,10 +116,9 @@ impl Tree {
         GridStats {
             cells: self.dims.iter().map(|&n| u64::from(n * CELLS_PER_BRICK)).product(),
             lists: self.leaf_starts.len() - 1,
-            references: self.references.len(),
+            references: self.leaf_starts.last().map_or(0, |&end| end as usize),
             macrocell_bytes: size_of_val(&*self.bricks) + size_of_val(&*self.nodes),
             list_bytes: size_of_val(&*self.leaf_starts) + size_of_val(&*self.leaf_cubes),
-            reference_bytes: size_of_val(&*self.references),
             box_bytes: Some(self.boxes.n_bytes() + self.hierarchy.n_bytes()),
             ..GridStats::default()
         }

@@ -284,7 +284,7 @@ impl<'a> Bundle<'a> {
                     continue;
                 }
                 if is_leaf {
-                    self.grid.mesh().prefetch_corners::<S>(child);
+                    self.grid.mesh().prefetch_vertices::<S>(child);
                     triangles[n_triangles % CHILDREN] = (child, rays);
                     n_triangles += 1;
                 } else {

@@ -180,11 +180,12 @@ mod tests {
             let any = intersect_packet(grid, clip, &Packet { any_hit: true, ..*packet }, &mut scratch);
             for lane in 0..64 {
                 let ray = packet.ray(lane);
-                assert_eq!(hits[lane], intersect(grid, clip, ray), "{ray:?} {plane:?}");
+                let hit = scene.with_file_index(hits[lane]);
+                assert_eq!(hit, scene.with_file_index(intersect(grid, clip, ray)), "{ray:?} {plane:?}");
                 let mut occluded = [false];
                 occluded_rays(grid, clip, &mut [ray], &mut occluded);
                 assert_eq!(!any[lane].is_miss(), occluded[0], "{ray:?} {plane:?}");
-                answers.push((ray, scene.with_file_index(hits[lane])));
+                answers.push((ray, hit));
             }
         }
         answers

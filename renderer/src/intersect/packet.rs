@@ -335,25 +335,21 @@ impl Tree {
         origin: &[f64; 3],
         leaves: &mut Vec<PendingLeaf<N>>,
     ) {
-        // Prefetch the boxes and references of all leaves, so that their cache misses overlap.
+        // Prefetch the boxes and triangles of all leaves, so that their cache misses overlap.
         for leaf in &*leaves {
-            let references = self.references_of(leaf.number);
-            self.boxes.prefetch::<S>(references.clone());
-            let mut at = references.start;
-            while at < references.end {
-                S::prefetch(&self.references, at);
-                at += 16;
-            }
+            let triangles = self.triangles_of(leaf.number);
+            self.boxes.prefetch::<S>(triangles.clone());
+            culler.prefetch_leaf::<S>(triangles);
         }
 
         // Gather the triangles whose boxes some ray may pass.
         for leaf in &*leaves {
-            let references = self.references_of(leaf.number);
+            let triangles = self.triangles_of(leaf.number);
             let mut corner_from_origin = [0.0; 3];
             for local_axis in 0..3 {
                 corner_from_origin[local_axis] = f64::from(leaf.low[local_axis]) - origin[local_axis];
             }
-            let bytes = self.boxes.of_leaf(references.clone());
+            let bytes = self.boxes.of_leaf(triangles.clone());
             let boxes = LeafBoxes::new(
                 bytes,
                 culler.ray_bounds.axes,
@@ -361,7 +357,7 @@ impl Tree {
                 corner_from_origin,
                 leaf.size,
             );
-            culler.gather::<S>(&boxes, &self.references[references], &leaf.rays);
+            culler.gather::<S>(&boxes, triangles, &leaf.rays);
         }
         culler.drop_recently_tested::<S>();
         leaves.clear();

@@ -24,7 +24,7 @@ use crate::{
         starts::RayStarts,
         triangle,
     },
-    simd::{Kernel, Real, Simd},
+    simd::{Kernel, Real, Simd, consecutive},
 };
 
 /// Rays on their way at a time: enough to fill lanes, and few enough to stay in the nearest cache.
@@ -37,9 +37,6 @@ const N_COLLECTED: usize = 128;
 /// number that is collected, which spares checks.
 const ROOM: usize = 2 * N_COLLECTED + 32;
 
-/// The first references of a leaf's groups.
-const FIRST_OF_GROUPS: [u32; 16] = [0, 16, 32, 48, 64, 80, 96, 112, 128, 144, 160, 176, 192, 208, 224, 240];
-
 /// A ray on its way.
 struct Slot {
     /// Index of the ray.
@@ -47,16 +44,16 @@ struct Slot {
     ray: Ray,
     descent: Descent,
     nearest: Nearest,
-    /// Of the present leaf: its boxes along the ray, and its references.
+    /// Of the present leaf: its boxes along the ray, and its triangles, from the first group that is collected on.
     slabs: Slabs,
-    references: [u32; 2],
+    triangles: [u32; 2],
 }
 
 impl Slot {
     fn new() -> Self {
         let ray = Ray { origin: Vec3::ZERO, direction: Vec3::ZERO, t_min: 0.0, t_max: 0.0 };
         let (descent, nearest, slabs) = Default::default();
-        Self { ray_idx: 0, ray, descent, nearest, slabs, references: [0; 2] }
+        Self { ray_idx: 0, ray, descent, nearest, slabs, triangles: [0; 2] }
     }
 }
 
@@ -101,7 +98,8 @@ struct Pairs {
 impl Pairs {
     const EMPTY: Self = Self { slots: [0; ROOM], indices: [0; ROOM], n: 0 };
 
-    /// Appends the pairs of a slot with the indices of those boxes that its ray passes. Returns how many there are.
+    /// Appends the pairs of a slot with those boxes that its ray passes, which are numbered from `first_index` on. Returns
+    /// how many there are.
     #[inline(always)]
     fn push_passed<S: Simd>(
         &mut self,
@@ -109,16 +107,16 @@ impl Pairs {
         descent: &Descent,
         slabs: &Slabs,
         boxes: GroupBytes<'_>,
-        indices: &[u32],
+        first_index: u32,
     ) -> usize {
         let n_before = self.n % (2 * N_COLLECTED);
         let mut n = n_before;
         for first in (0..GROUP).step_by(S::LANES) {
             let passed = descent.passed_boxes::<S>(slabs, boxes, first);
-            let slots = &mut self.slots[n % (2 * N_COLLECTED)..][..S::LANES];
-            slots.fill(slot);
-            let of_lanes = &indices[first.min(indices.len())..(first + S::LANES).min(indices.len())];
-            n += S::compress(of_lanes, passed, &mut self.indices[n % (2 * N_COLLECTED)..]);
+            let at = n % (2 * N_COLLECTED);
+            self.slots[at..][..S::LANES].fill(slot);
+            let indices = S::load_bits(&consecutive(first_index + first as u32));
+            n += indices.compress_bits_to(passed, &mut self.indices[at..]);
         }
         self.n = n;
         n - n_before
@@ -156,7 +154,7 @@ struct State {
     directions: [f32; 3 * N_SLOTS + 3],
     /// The rays that begin next.
     starts: RayStarts,
-    /// Groups of boxes that rays may pass, by their first reference in the slot's leaf.
+    /// Groups of boxes that rays may pass, counted in the slot's leaf.
     groups: Pairs,
     /// Triangles that rays may hit.
     triangles: Pairs,
@@ -329,14 +327,13 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
             while next < slots.len() && !self.state.groups.is_full() {
                 let slot_idx = slots[next] as usize % N_SLOTS;
                 let leaf = self.state.entries[slot_idx] & !LEAF;
-                let Slot { descent, slabs, references, .. } = &mut self.state.slots[slot_idx];
-                let of_leaf = self.tree.references_of(leaf);
+                let Slot { descent, slabs, triangles, .. } = &mut self.state.slots[slot_idx];
+                let of_leaf = self.tree.triangles_of(leaf);
                 let n_groups = of_leaf.len().div_ceil(GROUP);
                 *slabs = descent.leaf_slabs(self.tree.leaf_cubes[leaf as usize]);
-                *references = [(of_leaf.start + first * GROUP) as u32, of_leaf.end as u32];
+                *triangles = [(of_leaf.start + first * GROUP) as u32, of_leaf.end as u32];
                 let groups = self.tree.boxes.of_groups(leaf, of_leaf).group(first);
-                let indices = &FIRST_OF_GROUPS[..(n_groups - first).min(GROUP)];
-                self.state.groups.push_passed::<S>(slots[next], descent, slabs, groups, indices);
+                self.state.groups.push_passed::<S>(slots[next], descent, slabs, groups, 0);
                 let is_last = first + GROUP >= n_groups;
                 first = if is_last { 0 } else { first + GROUP };
                 next += usize::from(is_last);
@@ -354,10 +351,10 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
         for index in 0..std::mem::take(&mut self.state.groups.n) {
             let slot_idx = self.state.groups.slots[index];
             let slot = &mut self.state.slots[slot_idx as usize];
-            let first = (slot.references[0] + self.state.groups.indices[index]) as usize;
-            let triangles = &self.tree.references[first..(first + GROUP).min(slot.references[1] as usize)];
-            let boxes = self.tree.boxes.group(first, triangles.len());
-            let n = self.state.triangles.push_passed::<S>(slot_idx, &slot.descent, &slot.slabs, boxes, triangles);
+            let [first_of_groups, end] = slot.triangles;
+            let first = first_of_groups + self.state.groups.indices[index] * GROUP as u32;
+            let boxes = self.tree.boxes.group(first as usize, ((end - first) as usize).min(GROUP));
+            let n = self.state.triangles.push_passed::<S>(slot_idx, &slot.descent, &slot.slabs, boxes, first);
             slot.nearest.cost.n_tests += n as u32;
             if self.state.triangles.is_full() {
                 self.decide_triangles::<S>();

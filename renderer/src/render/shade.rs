@@ -221,8 +221,8 @@ mod tests {
     const EYE: Vec3 = Vec3::new(0.0, 0.0, 5.0);
 
     fn traced(mesh: Mesh) -> TracedMesh {
-        let mut order: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
-        TracedMesh::new(mesh, &mut order)
+        let order = (0..mesh.triangles.len() as u32).collect();
+        TracedMesh::new(mesh, order)
     }
 
     fn shader(mesh: &TracedMesh, shading: ShadingMode) -> Shader<'_> {

@@ -93,13 +93,6 @@ impl Simd for Avx2 {
             ]
         }
     }
-    #[inline(always)]
-    fn compress(from: &[u32], mask: u32, to: &mut [u32]) -> usize {
-        let mask = mask & (0xff >> (8 - from.len()));
-        // SAFETY: as above; only numbers are read that are there.
-        let numbers = unsafe { _mm256_castsi256_ps(_mm256_maskload_epi32(from.as_ptr().cast(), lane_masks(mask))) };
-        Self(numbers).compress_bits_to(mask, to)
-    }
     intrinsics! {
         fn splat(x: f32) -> Self = Self(_mm256_set1_ps(x));
         fn load(from: &[f32]) -> Self = Self(_mm256_loadu_ps(first::<8, _>(from).as_ptr()));
@@ -204,17 +197,6 @@ impl Simd for Avx512 {
                 Self(_mm512_shuffle_ps::<0x44>(zw_ab, zw_cd)),
             ]
         }
-    }
-    #[inline(always)]
-    fn compress(from: &[u32], mask: u32, to: &mut [u32]) -> usize {
-        let to = first_mut::<16, _>(to);
-        let mask = mask & (u32::from(u16::MAX) >> (16 - from.len()));
-        // SAFETY: as above; only numbers are read that are there, and there is room for sixteen.
-        unsafe {
-            let numbers = _mm512_maskz_loadu_epi32(mask as u16, from.as_ptr().cast());
-            _mm512_storeu_epi32(to.as_mut_ptr().cast(), _mm512_maskz_compress_epi32(mask as u16, numbers));
-        }
-        mask.count_ones() as usize
     }
     intrinsics! {
         fn splat(x: f32) -> Self = Self(_mm512_set1_ps(x));

@@ -129,7 +129,7 @@ impl Plans {
         for n_lookups in (1..=MOST_LOOKUPS).rev() {
             for first in (0..64).step_by(S::LANES) {
                 let mask = S::eq_mask(&self.n_lookups[first..], n_lookups);
-                n += S::compress(&SAMPLES[first..first + S::LANES], mask, &mut order[n..]);
+                n += S::load_bits(&SAMPLES[first..]).compress_bits_to(mask, &mut order[n..]);
             }
         }
         order

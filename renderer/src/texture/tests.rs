@@ -266,7 +266,8 @@ fn picks_go_through_gaps() {
 #[test]
 fn memory_is_counted() {
     let mesh = fences(true);
-    let expected = TracedMesh::bytes_in_order(&mesh);
+    let (n_triangles, of_vertices_and_materials) = (mesh.triangles.len() as u64, TracedMesh::bytes_in_order(&mesh));
     let traced = scene(mesh).mesh().n_bytes() as u64;
-    assert!((expected..=expected + 12).contains(&traced), "{traced} bytes, not {expected}");
+    let expected = of_vertices_and_materials + n_triangles * TracedMesh::BYTES_PER_COPY;
+    assert!((expected / 10 * 9..=expected).contains(&traced), "{traced} bytes, not {expected}");
 }

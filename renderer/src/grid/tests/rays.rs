@@ -95,20 +95,22 @@ proptest! {
         let (mut hits, mut occluded) = (vec![Hit::MISS; rays.len()], vec![false; rays.len()]);
         let grid = build(&mesh);
         grid.intersect_rays(&rays, &mut hits);
+        hits.iter_mut().for_each(|hit| *hit = with_file_index(&grid, *hit));
         grid.occluded_rays(&rays, &mut occluded);
         for (index, ray) in rays.iter().enumerate() {
-            prop_assert_eq!(grid.intersect(ray), hits[index]);
+            prop_assert_eq!(with_file_index(&grid, grid.intersect(ray)), hits[index]);
             prop_assert_eq!(occluded[index], !hits[index].is_miss());
             let whole = Ray { t_max: f32::MAX, ..*ray };
             check(&mesh, &grid, &whole);
-            let unlimited = grid.intersect(&whole);
+            let unlimited = with_file_index(&grid, grid.intersect(&whole));
             let is_beyond = unlimited.t > ray.t_max;
             prop_assert!(hits[index] == unlimited || (hits[index].is_miss() && is_beyond), "{:?}", ray);
         }
         for instructions in InstructionSet::available() {
             for grid in [build(&mesh), over_leaves(build(&mesh))] {
-                let mut same = vec![Hit::MISS; rays.len()];
-                grid.with_instructions(instructions).intersect_rays(&rays, &mut same);
+                let (grid, mut same) = (grid.with_instructions(instructions), vec![Hit::MISS; rays.len()]);
+                grid.intersect_rays(&rays, &mut same);
+                same.iter_mut().for_each(|hit| *hit = with_file_index(&grid, *hit));
                 prop_assert_eq!(&same, &hits, "{:?}", instructions);
             }
         }

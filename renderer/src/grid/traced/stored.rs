@@ -18,7 +18,7 @@ impl TracedMesh {
         visitor: &mut impl SectionVisitor<'a>,
     ) -> Result<(), Fault> {
         visitor.visit("vertices", &mut self.vertices)?;
-        visitor.visit("triangles", &mut self.triangles)?;
+        self.corners.visit_sections(visitor)?;
         visitor.visit("file indices", &mut self.file_indices)?;
         visitor.visit("colours", &mut self.colors)?;
         visitor.visit("normals", &mut self.normals)?;
@@ -28,9 +28,10 @@ impl TracedMesh {
 
     pub(in crate::grid) fn check_sizes(&self) -> Result<(), Damage> {
         let n_vertices = self.vertices.len().checked_sub(1).ok_or(Damage::Content("vertices"))?;
-        let n_triangles = self.file_indices.len();
+        let n_copies = self.n_copies();
         let is_whole = |n_items: usize| n_items == 0 || n_items == n_vertices;
-        expect(self.triangles.len() == n_triangles && n_triangles < Hit::CAP as usize, "triangles")?;
+        expect(self.n_triangles <= n_copies && n_copies < Hit::CAP as usize, "triangles")?;
+        self.corners.check_sizes(n_copies)?;
         expect(is_whole(self.colors.len()), "colours")?;
         expect(is_whole(self.normals.len()), "normals")?;
         expect(is_whole(self.texture_coordinates.len()), "texture coordinates")?;
@@ -39,19 +40,18 @@ impl TracedMesh {
             min.is_finite() && max.is_finite() && min.cmple(max).all()
         };
         expect(is_box(&self.bounds) && is_box(&self.bulk_bounds) && self.origin.is_finite(), "bounds")?;
-        self.materials.check(n_triangles)
+        self.materials.check(n_copies)
     }
 
     pub(in crate::grid) fn check_contents(&self) -> Result<(), Damage> {
-        let (vertices, n_vertices) = (&*self.vertices, self.vertices.len() as u64 - 1);
-        let exist = |triangle: &[u32; 3]| triangle.iter().all(|&vertex| u64::from(vertex) < n_vertices);
-        expect(self.triangles.par_iter().all(exist), "triangles")?;
+        let n_vertices = self.vertices.len() - 1;
+        self.corners.check_contents(n_vertices)?;
         // Bounds hold all vertices, so distances from the grid's corner are bounded too.
         let Aabb { min, max } = self.bounds;
         let is_inside = |[x, y, z]: [f32; 3]| {
             min[0] <= x && x <= max[0] && min[1] <= y && y <= max[1] && min[2] <= z && z <= max[2]
         };
         let is_sound = |&vertex: &[f32; 3]| Mesh::is_usable(vertex) && is_inside(vertex);
-        expect(vertices[..n_vertices as usize].par_iter().all(is_sound), "vertices")
+        expect(self.vertices[..n_vertices].par_iter().all(is_sound), "vertices")
     }
 }

@@ -1,6 +1,6 @@
 //! Quantised bounds of the triangles in each leaf: most triangles are rejected without reading their vertices.
 //!
-//! Six bytes a reference: the bounds of its triangle within the leaf's cube, in steps of a 250th of the cube. A box
+//! Six bytes a triangle: the bounds of its triangle within the leaf's cube, in steps of a 250th of the cube. A box
 //! holds the part of its triangle inside the cube, so a ray that hits the triangle there passes the box. Vertices lie
 //! far apart in memory; in a scan seen from afar nearly all boxes lie between the rays.
 
@@ -33,13 +33,13 @@ const MARGIN: f32 = 1.0 / (1u32 << 19) as f32;
 /// Bytes after the last box, so that a vector can be loaded from there.
 const PADDING: usize = 16;
 
-/// References of a group: neighbours in space, whose boxes lie side by side.
+/// Triangles of a group: neighbours in space, whose boxes lie side by side.
 pub(crate) const GROUP: usize = 16;
 
-/// The boxes of all references, in their order, and of groups of them.
+/// The boxes of all triangles, in their order, and of groups of them.
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct QuantizedBoxes {
-    /// A leaf's groups follow each other. A group of n references from index r on has 6·n bytes from index 6·r on: n least
+    /// A leaf's groups follow each other. A group of n triangles from index r on has 6·n bytes from index 6·r on: n least
     /// x, n greatest x, then y and z.
     #[serde(skip)]
     bytes: Section<u8>,
@@ -48,7 +48,7 @@ pub(crate) struct QuantizedBoxes {
     group_bytes: Section<u8>,
 }
 
-/// Index of a leaf's first group, if its references begin at `start`. No leaf has more groups than lie before the next's.
+/// Index of a leaf's first group, if its triangles begin at `start`. No leaf has more groups than lie before the next's.
 #[inline(always)]
 fn first_group(leaf: u32, start: usize) -> usize {
     start / GROUP + leaf as usize
@@ -137,16 +137,10 @@ impl LeafCube {
 
 impl QuantizedBoxes {
     /// Measures the triangles of a finished tree, in parallel.
-    pub(crate) fn new(
-        space: &CellSpace,
-        leaf_cubes: &[LeafCube],
-        leaf_starts: &[u32],
-        references: &[u32],
-        mesh: &TracedMesh,
-    ) -> Self {
+    pub(crate) fn new(space: &CellSpace, leaf_cubes: &[LeafCube], leaf_starts: &[u32], mesh: &TracedMesh) -> Self {
         const LEAVES_PER_JOB: usize = 1024;
         // Divide the leaves, and the bytes of their boxes, into jobs.
-        let mut bytes = vec![0; 6 * references.len() + PADDING];
+        let mut bytes = vec![0; 6 * mesh.n_copies() + PADDING];
         let mut jobs = Vec::new();
         let mut rest = &mut *bytes;
         for first in (0..leaf_cubes.len()).step_by(LEAVES_PER_JOB) {
@@ -159,7 +153,7 @@ impl QuantizedBoxes {
         // Measure each leaf's triangles.
         jobs.into_par_iter().for_each(|(leaves, mut bytes)| {
             for leaf in leaves {
-                let triangles = &references[leaf_starts[leaf] as usize..leaf_starts[leaf + 1] as usize];
+                let triangles = leaf_starts[leaf]..leaf_starts[leaf + 1];
                 let (chunk, others) = bytes.split_at_mut(6 * triangles.len());
                 bytes = others;
                 measure(space, leaf_cubes[leaf], mesh, triangles, chunk);
@@ -178,15 +172,15 @@ impl QuantizedBoxes {
         visitor.visit("group boxes", &mut self.group_bytes)
     }
 
-    /// Whether these are the boxes of so many leaves and references.
-    pub(super) fn are_as_many_as(&self, n_leaves: usize, n_references: usize) -> bool {
-        self.bytes.len() == 6 * n_references + PADDING
-            && self.group_bytes.len() == 6 * first_group(n_leaves as u32, n_references) + PADDING
+    /// Whether these are the boxes of so many leaves and triangles.
+    pub(super) fn are_as_many_as(&self, n_leaves: usize, n_triangles: usize) -> bool {
+        self.bytes.len() == 6 * n_triangles + PADDING
+            && self.group_bytes.len() == 6 * first_group(n_leaves as u32, n_triangles) + PADDING
     }
 
     /// Bounds of a leaf's triangles within its cube, in finest cells.
-    pub(crate) fn leaf_bounds(&self, leaf: u32, cube: LeafCube, references: Range<usize>) -> Bounds {
-        let (first, n) = (6 * first_group(leaf, references.start), references.len().div_ceil(GROUP));
+    pub(crate) fn leaf_bounds(&self, leaf: u32, cube: LeafCube, triangles: Range<usize>) -> Bounds {
+        let (first, n) = (6 * first_group(leaf, triangles.start), triangles.len().div_ceil(GROUP));
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for group in 0..n {
             let (row_group, n_in_row) = (group / GROUP * GROUP, (n - group / GROUP * GROUP).min(GROUP));
@@ -202,30 +196,30 @@ impl QuantizedBoxes {
     }
 
     #[inline(always)]
-    pub(crate) fn prefetch<S: Simd>(&self, references: Range<usize>) {
-        let mut at = 6 * references.start;
-        while at < 6 * references.end {
+    pub(crate) fn prefetch<S: Simd>(&self, triangles: Range<usize>) {
+        let mut at = 6 * triangles.start;
+        while at < 6 * triangles.end {
             S::prefetch(&self.bytes, at);
             at += 64;
         }
     }
 
-    /// The boxes of a group of `n` references from `first` on.
+    /// The boxes of a group of `n` triangles from `first` on.
     #[inline(always)]
     pub(crate) fn group(&self, first: usize, n: usize) -> GroupBytes<'_> {
         GroupBytes { bytes: &self.bytes[6 * first..6 * (first + n) + PADDING], n }
     }
 
-    /// The boxes of a leaf with these references.
+    /// The boxes of a leaf with these triangles.
     #[inline(always)]
-    pub(crate) fn of_leaf(&self, references: Range<usize>) -> BoxBytes<'_> {
-        BoxBytes { bytes: &self.bytes[6 * references.start..6 * references.end + PADDING], n: references.len() }
+    pub(crate) fn of_leaf(&self, triangles: Range<usize>) -> BoxBytes<'_> {
+        BoxBytes { bytes: &self.bytes[6 * triangles.start..6 * triangles.end + PADDING], n: triangles.len() }
     }
 
-    /// The bounds of the groups of a leaf with these references.
+    /// The bounds of the groups of a leaf with these triangles.
     #[inline(always)]
-    pub(crate) fn of_groups(&self, leaf: u32, references: Range<usize>) -> BoxBytes<'_> {
-        let (first, n) = (first_group(leaf, references.start), references.len().div_ceil(GROUP));
+    pub(crate) fn of_groups(&self, leaf: u32, triangles: Range<usize>) -> BoxBytes<'_> {
+        let (first, n) = (first_group(leaf, triangles.start), triangles.len().div_ceil(GROUP));
         BoxBytes { bytes: &self.group_bytes[6 * first..6 * (first + n) + PADDING], n }
     }
 }
@@ -352,18 +346,19 @@ pub(crate) fn leaf_cubes(dims: [u32; 3], bricks: &[u32], nodes: &[TreeNode], n_l
 }
 
 /// Writes the quantised boxes of a leaf's triangles, rounded outward.
-fn measure(space: &CellSpace, cube: LeafCube, mesh: &TracedMesh, triangles: &[u32], bytes: &mut [u8]) {
+fn measure(space: &CellSpace, cube: LeafCube, mesh: &TracedMesh, triangles: Range<u32>, bytes: &mut [u8]) {
     const ROUNDING: f64 = 1e-3;
     let steps_per_cell = N_STEPS / f64::from(cube.size());
     let [x, y, z, _] = cube.corner();
     let corner = UVec3::new(x, y, z).as_dvec3();
-    for (index, &triangle) in triangles.iter().enumerate() {
+    let n = triangles.len();
+    for (index, triangle) in triangles.enumerate() {
         let [a, b, c] = mesh.corners(triangle).map(|corner| space.point_to_cells(Vec3::from_array(corner).as_dvec3()));
         let low = ((a.min(b).min(c) - corner) * steps_per_cell + (FIRST_STEP - ROUNDING)).floor();
         let high = ((a.max(b).max(c) - corner) * steps_per_cell + (FIRST_STEP + ROUNDING)).ceil();
         // Conversions saturate: sides outside the cube get the ends of a byte's range.
         let sides = [0, 1, 2].map(|axis| [low[axis] as u8, high[axis] as u8]);
-        write_box(bytes, triangles.len(), index, sides);
+        write_box(bytes, n, index, sides);
     }
 }
 

@@ -18,8 +18,8 @@ use crate::grid::tree::{
 const REFERENCES_PER_JOB: usize = 1 << 15;
 
 /// Cells with no more triangles than this are not divided: testing 16 boxes is faster than finding one more leaf.
-/// Between 128 and 512 speed is flat, and memory falls.
-pub(crate) const LEAF_SIZE: usize = 256;
+/// Between 128 and 512 speed is flat, and memory falls as fewer triangles lie in several leaves.
+pub(crate) const LEAF_SIZE: usize = 512;
 
 pub(crate) struct Builder<'a> {
     pub(crate) scatter: Scatter<'a>,
@@ -67,11 +67,14 @@ impl Builder<'_> {
                         self.divide_brick(&mut part, brick, &mut references[range])
                     })
                     .collect();
+                // All parts wait in memory for each other.
+                part.references.shrink_to_fit();
                 let done = done.fetch_add(references.len() as u64, Relaxed) + references.len() as u64;
                 progress(done as f32 / total as f32);
                 (roots, part)
             })
             .collect();
+        drop(references);
 
         // Join the parts in order: indices of nodes and leaves move up.
         let mut bricks = Vec::with_capacity(starts.len() - 1);

@@ -34,7 +34,7 @@ pub(crate) const NONE: Entry = u32::MAX;
 const FEW_TRIANGLES: usize = 1 << 22;
 
 /// References for each triangle from which larger scenes afford it too: rays take two thirds of the time there.
-const MANY_REFERENCES: f64 = 1.75;
+const MANY_REFERENCES: f64 = 1.5;
 
 /// Bytes for each triangle while a hierarchy over triangles is built: an item, and its part of nodes that are nearly full.
 const BYTES_PER_TRIANGLE: u64 = 48 + 36;
@@ -90,17 +90,16 @@ struct BoundedItem {
 impl Hierarchy {
     /// Builds the hierarchy over a tree's leaves with these bounds in finest cells, in parallel.
     pub(crate) fn over_leaves(bounds: impl IndexedParallelIterator<Item = Bounds>) -> Self {
-        Self::new::<false>(bounds)
+        Self::new::<false>(bounds.enumerate().map(|(leaf, bounds)| (leaf as u32, bounds)))
     }
 
-    /// Builds the hierarchy over triangles with these bounds in finest cells, in parallel.
-    pub(crate) fn over_triangles(bounds: impl IndexedParallelIterator<Item = Bounds>) -> Self {
-        Self::new::<true>(bounds)
+    /// Builds the hierarchy over triangles, by index, with these bounds in finest cells, in parallel.
+    pub(crate) fn over_triangles(triangles: impl IndexedParallelIterator<Item = (u32, Bounds)>) -> Self {
+        Self::new::<true>(triangles)
     }
 
-    fn new<const OF_TRIANGLES: bool>(bounds: impl IndexedParallelIterator<Item = Bounds>) -> Self {
-        let item = |(item, bounds): (usize, Bounds)| BoundedItem { bounds, item: item as u32 };
-        let mut items: Vec<_> = bounds.enumerate().map(item).collect();
+    fn new<const OF_TRIANGLES: bool>(items: impl IndexedParallelIterator<Item = (u32, Bounds)>) -> Self {
+        let mut items: Vec<_> = items.map(|(item, bounds)| BoundedItem { bounds, item }).collect();
         let areas = || items.iter().map(|item| f64::from(item.bounds.half_area()));
         let typical_area = areas().map(|area| area * area).sum::<f64>() / areas().sum::<f64>();
         // None without surfaces.
@@ -407,7 +406,8 @@ mod tests {
         for n in [0, 1, 2, 16, 17, 255, 257, 5000, 70_000] {
             let boxes = boxes(n);
             let bounds = || boxes.par_iter().copied();
-            for hierarchy in [Hierarchy::over_leaves(bounds()), Hierarchy::over_triangles(bounds())] {
+            let triangles = || bounds().enumerate().map(|(triangle, bounds)| (triangle as u32, bounds));
+            for hierarchy in [Hierarchy::over_leaves(bounds()), Hierarchy::over_triangles(triangles())] {
                 let mut found = vec![0; n];
                 if hierarchy.root != NONE {
                     walk(&hierarchy, hierarchy.root, &mut Vec::new(), &mut |item, way| {
@@ -443,7 +443,7 @@ mod tests {
 
     #[test]
     fn only_scenes_with_memory_to_spare_have_a_hierarchy_over_triangles() {
-        let (scan, courtyard) = ((10_000_000, 14_000_000), (8_000_000, 16_000_000));
+        let (scan, courtyard) = ((10_000_000, 14_000_000), (8_000_000, 13_000_000));
         let is_over_triangles = |(n, n_references), bytes| Hierarchy::is_over_triangles(n, n_references, bytes);
         assert!(is_over_triangles((1_000_000, 1_000_000), 100_000_000));
         assert!(!is_over_triangles((1_000_000, 1_000_000), 50_000_000));

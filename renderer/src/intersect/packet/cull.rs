@@ -5,6 +5,8 @@
 //!
 //! No closures over vectors: they would not be compiled for the caller's instruction set.
 
+use std::ops::Range;
+
 use crate::{
     grid::{
         Grid,
@@ -22,7 +24,7 @@ use crate::{
             ray_set::{MOST_PACKETS, Packet, RaySet},
         },
     },
-    simd::Simd,
+    simd::{Simd, consecutive},
 };
 
 /// Triangles per ray from which a leaf's boxes are tested ray by ray: seen from afar, most lie between the rays.
@@ -44,7 +46,9 @@ pub(super) struct CullScratch<const N: usize> {
     hits: HitScratch<N>,
     /// Triangles that wait for their test, and room for one more vector.
     waiting: [u32; N_WAITING + 16],
-    /// The triangle that was last gathered, by index modulo the size.
+    /// Their vertices, by corner.
+    vertices: [[u32; N_WAITING + 16]; 3],
+    /// The triangle that was last gathered, by file index modulo the size.
     recent: [u32; N_RECENT],
     pairs: [Pair; 64 * MOST_PACKETS],
 }
@@ -57,6 +61,7 @@ impl<const N: usize> Default for CullScratch<N> {
             groups: RayGroups::NONE,
             hits: HitScratch::default(),
             waiting: [0; N_WAITING + 16],
+            vertices: [[0; N_WAITING + 16]; 3],
             recent: [0; N_RECENT],
             pairs: [Pair::default(); 64 * MOST_PACKETS],
         }
@@ -103,10 +108,17 @@ fn interval_miss_signs<S: Simd>(low: S, high: S, bounds: [S; 2]) -> S {
     high.sub(bounds[0]).or(bounds[1].sub(low))
 }
 
+/// Sixteen numbers from index `first` on.
+#[inline(always)]
+fn lanes(numbers: &[u32; N_WAITING + 16], first: usize) -> &[u32; 16] {
+    numbers[first..].first_chunk().expect("room for one more vector")
+}
+
 /// Packets while they are traced, with the triangles that wait for their test.
 pub(super) struct Culler<'a, const N: usize> {
     pub(super) rays: PacketRays<'a, N>,
     waiting: &'a mut [u32; N_WAITING + 16],
+    vertices: &'a mut [[u32; N_WAITING + 16]; 3],
     n_waiting: usize,
     /// Waiting triangles, from the first on, that [`Culler::drop_recently_tested`] has checked.
     n_deduplicated: usize,
@@ -135,7 +147,7 @@ impl<'a, const N: usize> Culler<'a, N> {
     ) -> Self {
         // Reset the memory that earlier packets used.
         let mesh = &grid.mesh;
-        let CullScratch { u, v, groups, hits, waiting, recent, pairs } = scratch;
+        let CullScratch { u, v, groups, hits, waiting, vertices, recent, pairs } = scratch;
         *groups = RayGroups::NONE;
         recent.fill(u32::MAX);
         let origin = packets[0].origin.to_array();
@@ -150,6 +162,7 @@ impl<'a, const N: usize> Culler<'a, N> {
                 unfinished_groups: 0,
             },
             waiting,
+            vertices,
             n_waiting: 0,
             n_deduplicated: 0,
             recent,
@@ -314,9 +327,9 @@ impl<'a, const N: usize> Culler<'a, N> {
 
     /// Adds the triangles of a leaf whose boxes some ray may pass to those that wait. `rays` may pass the leaf.
     #[inline(always)]
-    pub(super) fn gather<S: PacketKernel>(&mut self, boxes: &LeafBoxes<'_>, triangles: &[u32], rays: &RaySet<N>) {
+    pub(super) fn gather<S: PacketKernel>(&mut self, boxes: &LeafBoxes<'_>, triangles: Range<usize>, rays: &RaySet<N>) {
         let ray_by_ray = triangles.len() >= RAY_BY_RAY_RATIO * rays.count() as usize;
-        for (batch, triangles) in triangles.chunks(S::LANES).enumerate() {
+        for first in (0..triangles.len()).step_by(S::LANES) {
             // Make room for a vector of triangles.
             if self.n_waiting + S::LANES > N_WAITING {
                 self.drop_recently_tested::<S>();
@@ -326,17 +339,24 @@ impl<'a, const N: usize> Culler<'a, N> {
             }
 
             // Test the boxes against the bounds of all rays, then against the rays of a sparse packet.
-            let bounds = boxes.bounds::<S>(batch * S::LANES);
+            let bounds = boxes.bounds::<S>(first);
             let missed = bounds.miss_signs(self.ray_bounds.slopes, self.least_inverse_limit).sign_mask();
-            let mut passed = !missed & (u32::MAX >> (32 - triangles.len()));
+            let mut passed = !missed & (u32::MAX >> (32 - (triangles.len() - first).min(S::LANES)));
             if ray_by_ray && passed != 0 {
                 passed &= self.passed_by_any_ray(&bounds, rays);
             }
-            self.n_waiting += S::compress(triangles, passed, &mut self.waiting[self.n_waiting..]);
+            let indices = S::load_bits(&consecutive((triangles.start + first) as u32));
+            self.n_waiting += indices.compress_bits_to(passed, &mut self.waiting[self.n_waiting..]);
         }
     }
 
-    /// Drops waiting triangles that were gathered before.
+    /// Hints that the triangles of a leaf will be gathered soon.
+    #[inline(always)]
+    pub(super) fn prefetch_leaf<S: Simd>(&self, triangles: Range<usize>) {
+        self.mesh.prefetch_leaf::<S>(triangles);
+    }
+
+    /// Drops waiting triangles of which a copy was gathered before.
     ///
     /// Without a branch, and for several leaves together: neither new triangles nor their number are predictable.
     #[inline(always)]
@@ -345,10 +365,11 @@ impl<'a, const N: usize> Culler<'a, N> {
         for index in self.n_deduplicated..self.n_waiting {
             let triangle = self.waiting[index];
             self.mesh.prefetch::<S>(triangle);
-            let recent = &mut self.recent[triangle as usize % N_RECENT];
+            let file_index = self.mesh.file_index(triangle);
+            let recent = &mut self.recent[(file_index.wrapping_mul(0x9e37_79b9) >> (32 - N_RECENT.ilog2())) as usize];
             self.waiting[n_waiting] = triangle;
-            n_waiting += usize::from(*recent != triangle);
-            *recent = triangle;
+            n_waiting += usize::from(*recent != file_index);
+            *recent = file_index;
         }
         self.n_waiting = n_waiting;
         self.n_deduplicated = n_waiting;
@@ -409,25 +430,33 @@ impl<'a, const N: usize> Culler<'a, N> {
     /// Tests the waiting triangles against all rays.
     #[inline(always)]
     pub(super) fn test_waiting<S: Simd>(&mut self) {
-        // Prefetch all corners, so that their cache misses overlap.
+        // Find and prefetch all vertices, so that their cache misses overlap.
         let mut prepared = PreparedTriangles::default();
         let n_waiting = std::mem::take(&mut self.n_waiting);
         self.n_deduplicated = 0;
-        for &triangle in &self.waiting[..n_waiting] {
-            self.mesh.prefetch_corners::<S>(triangle);
+        for index in 0..n_waiting {
+            let [a, b, c] = self.mesh.prefetch_vertices::<S>(self.waiting[index]);
+            (self.vertices[0][index], self.vertices[1][index], self.vertices[2][index]) = (a, b, c);
         }
 
         // Fill the last vector up with copies of the last triangle.
-        let last = self.waiting[n_waiting.max(1) - 1];
-        self.waiting[n_waiting..n_waiting + 16].fill(last);
+        let last = n_waiting.max(1) - 1;
+        for numbers in std::iter::once(&mut *self.waiting).chain(&mut *self.vertices) {
+            let of_last = numbers[last];
+            numbers[n_waiting..n_waiting + 16].fill(of_last);
+        }
 
         // Prepare a vector of triangles at a time, and test those that the rays' bounds meet.
         let mut first = 0;
         while first < n_waiting {
             let n = (n_waiting - first).min(S::LANES);
-            prepared.triangle_indices.copy_from_slice(&self.waiting[first..first + 16]);
+            let [a, b, c] = &*self.vertices;
+            // SAFETY: the vertices are those of waiting triangles.
+            let corners =
+                unsafe { self.mesh.gather_vertices::<S>([lanes(a, first), lanes(b, first), lanes(c, first)]) };
+            prepared.triangle_indices = *lanes(self.waiting, first);
             first += n;
-            let left = prepared.prepare::<S>(self.mesh, &self.ray_bounds) & ((1 << n) - 1);
+            let left = prepared.prepare::<S>(corners, &self.ray_bounds) & ((1 << n) - 1);
             if left != 0 {
                 self.rays.test_prepared::<S>(&prepared, left);
             }

@@ -1,7 +1,6 @@
 //! Prepares triangles, one per lane, for many rays with a common origin.
 
 use crate::{
-    grid::traced::TracedMesh,
     intersect::margins::{PLANE_MARGIN, SIDE_MARGIN, SLOPE_MARGIN, UNDERFLOW_MARGIN},
     simd::Simd,
 };
@@ -47,12 +46,12 @@ pub(super) struct PreparedTriangles {
 }
 
 impl PreparedTriangles {
-    /// Prepares `triangle_indices`; returns a bit for each that the rays' bounds meet. Lanes without it are undefined.
+    /// Prepares triangles with these corners; returns a bit for each that the rays' bounds meet. Lanes without it are
+    /// undefined.
     #[inline(always)]
-    pub(super) fn prepare<S: Simd>(&mut self, mesh: &TracedMesh, ray_bounds: &RayBounds) -> u32 {
-        // Load the corners, and move the origin to zero.
+    pub(super) fn prepare<S: Simd>(&mut self, corners: [[S; 3]; 3], ray_bounds: &RayBounds) -> u32 {
+        // Move the origin to zero.
         let [k, u, v] = ray_bounds.axes;
-        let corners = mesh.gather_corners::<S>(&self.triangle_indices);
         let mut from_origin = corners;
         for corner in 0..3 {
             for axis in 0..3 {

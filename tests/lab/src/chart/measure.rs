@@ -73,8 +73,8 @@ impl Chunk {
             }
             ends.push(pairs.triangles.len());
         }
-        let mut candidates: Vec<u32> = (0..pairs.triangles.len() as u32).collect();
-        let mesh = TracedMesh::new(pairs, &mut candidates);
+        let candidates: Vec<u32> = (0..pairs.triangles.len() as u32).collect();
+        let mesh = TracedMesh::new(pairs, candidates.clone());
         Self { rays: rays.iter().map(|&(ray, _)| ray).collect(), mesh, candidates, ends }
     }
 

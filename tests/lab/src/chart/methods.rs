@@ -201,7 +201,7 @@ mod tests {
             triangles: vec![[1, 4, 3], [0, 1, 2], [2, 1, 0]],
             ..Mesh::default()
         };
-        let mesh = TracedMesh::new(mesh, &mut [0, 1, 2]);
+        let mesh = TracedMesh::new(mesh, vec![0, 1, 2]);
         let rays = [[0.1, 0.1, 1.0], [0.2, 0.1, 1.0], [0.3, 0.2, 1.0], [-0.5, 0.0, 1.0], [0.1, 0.1, -1.0]]
             .map(|direction| Ray::new(Vec3::ZERO, Vec3::from_array(direction)));
         for method in Method::ALL {

@@ -1,0 +1,236 @@
+//! The vertices of triangles, in a byte for each corner.
+//!
+//! Triangles lie in the order of the grid's cells, and vertices in the order in which triangles name them, so neighbours
+//! have vertices that lie close together. Each [`TRIANGLES_PER_WINDOW`] triangles have a window of 256 vertices, and their
+//! corners count from the window's start. A vertex that far triangles share is there twice.
+
+use bytemuck::Zeroable;
+use rayon::prelude::*;
+
+use crate::{
+    scene_file::{
+        fault::{Damage, Fault},
+        section::Section,
+        sections::{SectionVisitor, expect},
+    },
+    simd::Simd,
+};
+
+const TRIANGLES_PER_WINDOW: usize = 16;
+const CORNERS_PER_WINDOW: usize = 3 * TRIANGLES_PER_WINDOW;
+
+/// As many as a byte can tell apart.
+const VERTICES_PER_WINDOW: usize = 256;
+
+/// Triangles that are numbered one after the other; parts of so many are numbered in parallel, and share no vertices.
+const TRIANGLES_PER_PART: usize = 1 << 16;
+
+/// Bytes after the last corner, so that four can be loaded from any triangle's first.
+const PADDING: usize = 1;
+
+/// The corners of all triangles, by vertex.
+#[derive(Debug, Default)]
+pub(super) struct Corners {
+    /// Three for each triangle: its vertices, from the start of its window. With [`PADDING`].
+    bytes: Section<u8>,
+    /// The first vertex of each window.
+    window_starts: Section<u32>,
+}
+
+impl Corners {
+    /// Bytes for each triangle, rounded up.
+    pub(super) const BYTES_PER_TRIANGLE: u64 = 4;
+
+    /// Numbers the vertices of triangles in this order, in parallel. Returns the vertices too, part after part, by their
+    /// number in `triangles`.
+    ///
+    /// # Panics
+    ///
+    /// If that takes more vertices than 32 bits can number.
+    pub(super) fn new(order: &[u32], triangles: &[[u32; 3]]) -> (Self, Vec<Vec<u32>>) {
+        let mut bytes = vec![0; 3 * order.len() + PADDING];
+        let mut window_starts = vec![0; order.len().div_ceil(TRIANGLES_PER_WINDOW)];
+        let parts = order
+            .par_chunks(TRIANGLES_PER_PART)
+            .zip(bytes.par_chunks_mut(3 * TRIANGLES_PER_PART))
+            .zip(window_starts.par_chunks_mut(TRIANGLES_PER_PART / TRIANGLES_PER_WINDOW));
+        let number = |((order, bytes), window_starts)| number_vertices(order, triangles, bytes, window_starts);
+        let vertices: Vec<Vec<u32>> = parts.map(number).collect();
+
+        // Windows of a part begin behind the vertices of those before it.
+        let mut n_before = 0;
+        for (of_part, window_starts) in
+            vertices.iter().zip(window_starts.chunks_mut(TRIANGLES_PER_PART / TRIANGLES_PER_WINDOW))
+        {
+            window_starts.iter_mut().for_each(|start| *start += n_before);
+            n_before = u32::try_from(of_part.len() as u64 + u64::from(n_before)).expect("vertices have 32-bit numbers");
+        }
+        (Self { bytes: bytes.into(), window_starts: window_starts.into() }, vertices)
+    }
+
+    /// The vertices of a triangle.
+    #[inline(always)]
+    pub(super) fn of(&self, triangle_idx: u32) -> [u32; 3] {
+        let triangle_idx = triangle_idx as usize;
+        let start = self.window_starts[triangle_idx / TRIANGLES_PER_WINDOW];
+        let &[a, b, c, _] = self.bytes[3 * triangle_idx..].first_chunk().expect("padding follows the last triangle");
+        [start + u32::from(a), start + u32::from(b), start + u32::from(c)]
+    }
+
+    /// The vertices of triangles, one triangle per lane, by corner. Lanes from [`Simd::LANES`] on hold none.
+    //
+    // No closures: they are not compiled for the caller's instruction set.
+    #[inline(always)]
+    pub(super) fn of_lanes<S: Simd>(&self, triangle_indices: &[u32; 16]) -> [[u32; 16]; 3] {
+        let (mut starts, mut packed) = ([0; 16], [0; 16]);
+        for lane in 0..S::LANES {
+            let triangle_idx = triangle_indices[lane] as usize;
+            starts[lane] = self.window_starts[triangle_idx / TRIANGLES_PER_WINDOW];
+            let bytes = self.bytes[3 * triangle_idx..].first_chunk().expect("padding follows the last triangle");
+            packed[lane] = u32::from_le_bytes(*bytes);
+        }
+        let mut vertices = [[0; 16]; 3];
+        for lane in 0..16 {
+            for corner in 0..3 {
+                vertices[corner][lane] = starts[lane] + (packed[lane] >> (8 * corner) & 0xff);
+            }
+        }
+        vertices
+    }
+
+    /// Hints that a triangle will be read soon.
+    #[inline(always)]
+    pub(super) fn prefetch<S: Simd>(&self, triangle_idx: u32) {
+        S::prefetch(&self.bytes, 3 * triangle_idx as usize);
+    }
+
+    /// Hints that the windows of triangles from this one on will be read soon.
+    #[inline(always)]
+    pub(super) fn prefetch_windows<S: Simd>(&self, first_triangle_idx: usize) {
+        S::prefetch(&self.window_starts, first_triangle_idx / TRIANGLES_PER_WINDOW);
+    }
+
+    pub(super) fn n_bytes(&self) -> usize {
+        size_of_val(&*self.bytes) + size_of_val(&*self.window_starts)
+    }
+
+    pub(super) fn visit_sections<'a>(&'a mut self, visitor: &mut impl SectionVisitor<'a>) -> Result<(), Fault> {
+        visitor.visit("corners", &mut self.bytes)?;
+        visitor.visit("windows", &mut self.window_starts)
+    }
+
+    /// Checks that so many triangles have corners.
+    pub(super) fn check_sizes(&self, n_triangles: usize) -> Result<(), Damage> {
+        expect(self.bytes.len() == 3 * n_triangles + PADDING, "corners")?;
+        expect(self.window_starts.len() == n_triangles.div_ceil(TRIANGLES_PER_WINDOW), "windows")
+    }
+
+    /// Checks that all corners are among so many vertices.
+    pub(super) fn check_contents(&self, n_vertices: usize) -> Result<(), Damage> {
+        let n_corners = self.bytes.len() - PADDING;
+        let windows = self.bytes[..n_corners].par_chunks(CORNERS_PER_WINDOW).zip(self.window_starts.par_iter());
+        let exist = |(bytes, &start): (&[u8], &u32)| {
+            let last = bytes.iter().max().copied().unwrap_or_default();
+            (start as usize + usize::from(last)) < n_vertices
+        };
+        expect(windows.all(exist), "corners")
+    }
+}
+
+/// Vertices that were named lately, in the slots of their hashes.
+struct RecentVertices([Recent; Self::N_SLOTS]);
+
+#[derive(Clone, Copy, Zeroable)]
+#[repr(C)]
+struct Recent {
+    vertex: u32,
+    /// One more than its number; 0 for none.
+    count: u32,
+}
+
+impl RecentVertices {
+    /// So many that few of a window's vertices share a slot.
+    const N_SLOTS: usize = 1 << Self::HASH_BITS;
+    const HASH_BITS: u32 = 12;
+
+    /// Fibonacci hashing (Knuth, "The Art of Computer Programming", volume 3, 6.4).
+    #[inline]
+    fn slot(&mut self, vertex: u32) -> &mut Recent {
+        &mut self.0[(vertex.wrapping_mul(0x9e37_79b9) >> (32 - Self::HASH_BITS)) as usize]
+    }
+}
+
+/// Numbers the vertices of some triangles from 0 on; returns them in the order of these numbers.
+fn number_vertices(order: &[u32], triangles: &[[u32; 3]], bytes: &mut [u8], window_starts: &mut [u32]) -> Vec<u32> {
+    let mut recent = RecentVertices([Recent::zeroed(); RecentVertices::N_SLOTS]);
+    let mut vertices = Vec::with_capacity(order.len());
+    for ((in_window, bytes), window_start) in
+        order.chunks(TRIANGLES_PER_WINDOW).zip(bytes.chunks_mut(CORNERS_PER_WINDOW)).zip(window_starts)
+    {
+        // A window has room for as many new vertices as its triangles can have.
+        let start = vertices.len().saturating_sub(VERTICES_PER_WINDOW - CORNERS_PER_WINDOW);
+        for (byte, vertex) in bytes.iter_mut().zip(in_window.iter().flat_map(|&triangle| triangles[triangle as usize]))
+        {
+            let slot = recent.slot(vertex);
+            let is_in_window = slot.vertex == vertex && slot.count as usize > start;
+            if !is_in_window {
+                vertices.push(vertex);
+                *slot = Recent { vertex, count: vertices.len() as u32 };
+            }
+            *byte = (slot.count as usize - 1 - start) as u8;
+        }
+        *window_start = start as u32;
+    }
+    vertices.shrink_to_fit();
+    vertices
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The vertices that corners name, by their number as loaded.
+    fn named(corners: &Corners, vertices: &[Vec<u32>], n_triangles: usize) -> Vec<[u32; 3]> {
+        let vertices = vertices.concat();
+        (0..n_triangles as u32).map(|triangle| corners.of(triangle).map(|vertex| vertices[vertex as usize])).collect()
+    }
+
+    #[test]
+    fn corners_name_the_same_vertices_as_the_triangles_whatever_their_order() {
+        let n_triangles = 2 * TRIANGLES_PER_PART as u32 + 7;
+        // A strip, whose vertices are near; triangles with far vertices; and both in turns.
+        let strip = |n: u32| [n, n + 1, n + 2];
+        let far = |n: u32| [n, n.wrapping_mul(2_654_435_761) % n_triangles, (n * 31) % n_triangles];
+        let mixed = |n: u32| if n.is_multiple_of(3) { far(n) } else { strip(n) };
+        for triangle in [&strip as &dyn Fn(u32) -> [u32; 3], &far, &mixed] {
+            let triangles: Vec<_> = (0..n_triangles).map(triangle).collect();
+            let forward: Vec<u32> = (0..n_triangles).collect();
+            let scattered: Vec<u32> = (0..n_triangles).map(|n| n.wrapping_mul(40_503) % n_triangles).collect();
+            for order in [forward, scattered] {
+                let (corners, vertices) = Corners::new(&order, &triangles);
+                let in_order: Vec<_> = order.iter().map(|&triangle| triangles[triangle as usize]).collect();
+                assert!(named(&corners, &vertices, order.len()) == in_order);
+                let n_vertices = vertices.iter().map(Vec::len).sum();
+                corners.check_sizes(order.len()).unwrap();
+                corners.check_contents(n_vertices).unwrap();
+                assert!(corners.check_contents(n_vertices - 1).is_err(), "the last vertex is named");
+            }
+        }
+    }
+
+    #[test]
+    fn neighbours_share_vertices() {
+        let strip: Vec<_> = (0..1000).map(|n| [n, n + 1, n + 2]).collect();
+        let order: Vec<u32> = (0..1000).collect();
+        let (_, vertices) = Corners::new(&order, &strip);
+        assert_eq!(vertices, [(0..1002).collect::<Vec<u32>>()]);
+    }
+
+    #[test]
+    fn no_triangles_have_no_corners() {
+        let (corners, vertices) = Corners::new(&[], &[]);
+        assert!(vertices.is_empty());
+        corners.check_sizes(0).unwrap();
+        corners.check_contents(0).unwrap();
+    }
+}
