@@ -8,7 +8,10 @@
 //! Only + − × ÷ √ are used, and each point's triangles are taken in file order: every machine, with any number of threads,
 //! computes the same bits.
 
-use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicU32, Ordering::Relaxed},
+};
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -26,6 +29,11 @@ const FLAT: f64 = 1.0 - 1.5e-6;
 /// Points that one thread handles at a time.
 const CHUNK: usize = 1 << 12;
 
+/// The corners of all points take as much memory as the triangles, so large meshes are done in passes over the triangles:
+/// at most so many, and none of fewer points than this, a multiple of [`CHUNK`].
+const MOST_PASSES: usize = 8;
+const FEWEST_OF_PASS: usize = 1 << 20;
+
 impl Mesh {
     /// Gives normals to a mesh without any, unless all its surfaces are flat; takes all normals away if the crease is.
     ///
@@ -36,7 +44,8 @@ impl Mesh {
             self.normals = Vec::new();
         } else if self.normals.is_empty() && u32::try_from(3 * self.triangles.len()).is_ok() {
             let normals: Vec<AtomicU32> = self.vertices.par_iter().map(|_| bits(Normal::OF_TRIANGLE).into()).collect();
-            let splits = Corners::new(&self).splits(&self, &Limits::new(crease), &normals);
+            let n_of_pass = self.vertices.len().div_ceil(MOST_PASSES).next_multiple_of(CHUNK).max(FEWEST_OF_PASS);
+            let splits = self.splits(&Limits::new(crease), &normals, n_of_pass);
             let is_smooth = |normal: &AtomicU32| normal.load(Relaxed) != bits(Normal::OF_TRIANGLE);
             if !splits.iter().all(|part| part.copies.is_empty()) || normals.par_iter().any(is_smooth) {
                 self.normals = normals.into_iter().map(|normal| bytemuck::cast(normal.into_inner())).collect();
@@ -44,6 +53,17 @@ impl Mesh {
             }
         }
         self
+    }
+
+    /// Computes the normals of all vertices, and the vertices that need several, in passes of `n_of_pass` points, which is a
+    /// multiple of [`CHUNK`].
+    fn splits(&self, limits: &Limits, normals: &[AtomicU32], n_of_pass: usize) -> Vec<Splits> {
+        let (points, n_points) = (points(self), self.vertices.len());
+        let of_pass = |first: usize| {
+            let corners = Corners::new(self, points.as_deref(), first..n_points.min(first + n_of_pass));
+            corners.splits(self, limits, normals)
+        };
+        (0..n_points).step_by(n_of_pass).flat_map(of_pass).collect()
     }
 
     fn split(&mut self, splits: &[Splits]) {
@@ -92,7 +112,7 @@ impl Limits {
     }
 }
 
-/// The corners of triangles in each point; a corner's number is three times its triangle's, and 0, 1 or 2.
+/// The corners of triangles in each of some points; a corner's number is three times its triangle's, and 0, 1 or 2.
 struct Corners {
     /// Ends of the points' parts of `corners`; a point has the number of its first vertex.
     ends: Vec<AtomicU32>,
@@ -110,15 +130,16 @@ struct Splits {
 }
 
 impl Corners {
-    fn new(mesh: &Mesh) -> Self {
-        let points = points(mesh);
-        let point = |vertex: u32| points.as_ref().map_or(vertex, |points| points[vertex as usize]) as usize;
+    /// Of the points in a range; `points` are the points of vertices, where some share one.
+    fn new(mesh: &Mesh, points: Option<&[u32]>, range: Range<usize>) -> Self {
+        let point = |vertex: u32| points.map_or(vertex, |points| points[vertex as usize]) as usize;
         let triangles = || mesh.triangles.par_iter().enumerate().filter(|(_, triangle)| **triangle != Mesh::REJECTED);
 
         // Count the corners in each point, then place each at the end of its point's part, which moves.
-        let ends: Vec<AtomicU32> = mesh.vertices.par_iter().map(|_| AtomicU32::new(0)).collect();
+        let ends: Vec<AtomicU32> = range.clone().into_par_iter().map(|_| AtomicU32::new(0)).collect();
+        let end = |vertex: u32| ends.get(point(vertex).wrapping_sub(range.start));
         triangles().for_each(|(_, triangle)| {
-            triangle.iter().for_each(|&vertex| _ = ends[point(vertex)].fetch_add(1, Relaxed));
+            triangle.iter().filter_map(|&vertex| end(vertex)).for_each(|end| _ = end.fetch_add(1, Relaxed));
         });
         let mut n_corners = 0;
         for end in &ends {
@@ -127,13 +148,15 @@ impl Corners {
         let corners: Vec<AtomicU32> = (0..n_corners).into_par_iter().map(|_| AtomicU32::new(0)).collect();
         triangles().for_each(|(index, triangle)| {
             for (corner, &vertex) in (3 * index as u32..).zip(triangle) {
-                corners[ends[point(vertex)].fetch_add(1, Relaxed) as usize].store(corner, Relaxed);
+                if let Some(end) = end(vertex) {
+                    corners[end.fetch_add(1, Relaxed) as usize].store(corner, Relaxed);
+                }
             }
         });
         Self { ends, corners }
     }
 
-    /// Computes the normals of all vertices, and the vertices that need several.
+    /// Computes the normals of the vertices in these points, and the vertices that need several.
     fn splits(&self, mesh: &Mesh, limits: &Limits, normals: &[AtomicU32]) -> Vec<Splits> {
         let of_chunk = |(chunk, ends): (usize, &[AtomicU32])| {
             let mut start = chunk.checked_sub(1).map_or(0, |last| self.ends[last * CHUNK + CHUNK - 1].load(Relaxed));
@@ -368,6 +391,27 @@ mod tests {
             for (vertex, normal) in smooth.vertices.iter().zip(&smooth.normals) {
                 let cosine = normal.vector().unwrap().dot(Vec3::from_array(*vertex));
                 assert!(cosine > if vertex[1].abs() > 0.9 { 0.998 } else { 0.9999 }, "{vertex:?}: {cosine}");
+            }
+        }
+    }
+
+    #[test]
+    fn passes_change_no_bit() {
+        // Without shared vertices, a vertex and its point are often done in different passes.
+        for mesh in [statue::generate(60_000, &|_| ()), unshared(&ball(60, 90))] {
+            let of_passes = |n_of_pass: usize| {
+                let normals: Vec<AtomicU32> = mesh.vertices.iter().map(|_| AtomicU32::new(0)).collect();
+                let mut passed = mesh.clone();
+                passed.normals = vec![Normal::OF_TRIANGLE; mesh.vertices.len()];
+                passed.split(&mesh.splits(&Limits::new(crease(20)), &normals, n_of_pass));
+                (passed, normals.into_iter().map(AtomicU32::into_inner).collect::<Vec<_>>())
+            };
+            let n_chunks = mesh.vertices.len().div_ceil(CHUNK);
+            assert!(n_chunks > 3, "{n_chunks}");
+            let whole = of_passes(n_chunks * CHUNK);
+            assert!(whole.0.vertices.len() > mesh.vertices.len() || whole.1.iter().any(|&normal| normal != 0));
+            for n_of_pass in [CHUNK, 2 * CHUNK] {
+                assert!(of_passes(n_of_pass) == whole);
             }
         }
     }
