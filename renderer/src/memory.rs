@@ -1,10 +1,14 @@
-//! Ends a program that runs out of memory with one line and status 1; Rust's own end is an abort without a cure.
+//! Ends a program that runs out of memory with one line and status 1; Rust's own end is an abort without a cure. Models that
+//! take more memory than they may are built in [`spill`].
+
+#[cfg_attr(not(target_os = "linux"), path = "memory/no_spill.rs")]
+pub mod spill;
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
     cell::Cell,
     io::{Cursor, Write},
-    process,
+    process, ptr,
     sync::atomic::{AtomicBool, Ordering::Relaxed},
     thread,
     time::Duration,
@@ -22,34 +26,60 @@ static IS_ENDING: AtomicBool = AtomicBool::new(false);
 const LONGEST_END: Duration = Duration::from_secs(5);
 
 /// The system's allocator, for the `#[global_allocator]` of a program. When memory runs out, it prints the cure and ends
-/// the program.
+/// the program; while a [`spill::Spill`] lasts, it takes large blocks from there.
 ///
 /// Meshes, grids, messages, pictures and their libraries allocate in hundreds of places, so the failure is handled in the
 /// one place that all of them pass. The hook of the standard library for this is not stable.
 #[derive(Debug)]
 pub struct EndingAllocator;
 
-// SAFETY: every call goes to the system's allocator unchanged. A pointer comes from there, or the program has ended.
-// Nothing here allocates or unwinds.
+// SAFETY: every call goes to the system's allocator unchanged, or to `spill`, whose blocks are zeroed, lie at the beginning of a
+// page and go back there. A pointer comes from one of them, or the program has ended. Nothing here allocates or unwinds.
 unsafe impl GlobalAlloc for EndingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let block = spill::allocate(layout);
+        if !block.is_null() {
+            return block;
+        }
         // SAFETY: the caller's promises are those of `System`.
         end_if_null(unsafe { System.alloc(layout) }, layout.size())
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        let block = spill::allocate(layout);
+        if !block.is_null() {
+            return block;
+        }
         // SAFETY: as above.
         end_if_null(unsafe { System.alloc_zeroed(layout) }, layout.size())
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, n_bytes: usize) -> *mut u8 {
-        // SAFETY: as above.
-        end_if_null(unsafe { System.realloc(pointer, layout, n_bytes) }, n_bytes)
+        if !spill::is_block(pointer, layout.size()) && !spill::takes(n_bytes) {
+            // SAFETY: as above.
+            return end_if_null(unsafe { System.realloc(pointer, layout, n_bytes) }, n_bytes);
+        }
+        // Move the contents: from a block, into one, or both.
+        // SAFETY: the caller's; the new memory is another, of so many bytes.
+        unsafe {
+            let moved = self.alloc(Layout::from_size_align_unchecked(n_bytes, layout.align()));
+            if !moved.is_null() {
+                ptr::copy_nonoverlapping(pointer, moved, layout.size().min(n_bytes));
+                self.dealloc(pointer, layout);
+            }
+            moved
+        }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
         // SAFETY: as above.
-        unsafe { System.dealloc(pointer, layout) }
+        unsafe {
+            if spill::is_block(pointer, layout.size()) {
+                spill::release(pointer, layout.size());
+            } else {
+                System.dealloc(pointer, layout);
+            }
+        }
     }
 }
 

@@ -118,7 +118,7 @@ fn a_node_without_the_model_fetches_it_once_and_renders_the_same_bits() {
     assert_eq!((machines.in_cache("raywall").len(), machines.in_cache("fetch").len()), (1, 0));
     let mut cache = machines.on("node", Program::command("renderer"));
     cache.arg("cache");
-    assert!(Program::succeed(cache).starts_with("fetched from a wall: 2"));
+    assert!(Program::succeed(cache).starts_with("fetched from a wall: 3"));
 }
 
 #[test]

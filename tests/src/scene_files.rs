@@ -3,7 +3,9 @@
 use std::{
     fs,
     path::{Path, PathBuf},
-    process::Command,
+    process::{Command, Stdio},
+    thread,
+    time::Duration,
 };
 
 use crate::process::Program;
@@ -70,6 +72,52 @@ fn wall_and_render_servers_build_a_model_once_and_show_the_same() {
     };
     assert!(cache(&[]).contains("statue.ply: 1") && cache(&[]).contains(": 1 scene, "), "{}", cache(&[]));
     assert!(cache(&["--clear"]).contains(" are free again") && cache(&[]).contains(": 0 scenes, 0 "), "{}", cache(&[]));
+}
+
+/// What a program says, and the most kilobytes of memory of its own that it was seen to hold.
+#[cfg(target_os = "linux")]
+fn said_and_memory(mut command: Command) -> (String, u64) {
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let status = format!("/proc/{}/status", child.id());
+    let mut most = 0;
+    while child.try_wait().unwrap().is_none() {
+        let status = fs::read_to_string(&status).unwrap_or_default();
+        let held =
+            status.lines().find_map(|line| line.strip_prefix("RssAnon:")?.trim().strip_suffix(" kB")?.parse().ok());
+        most = most.max(held.unwrap_or(0));
+        thread::sleep(Duration::from_millis(5));
+    }
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+    assert!(output.status.success(), "{said}");
+    (said, most)
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_model_that_takes_more_than_the_budget_is_built_in_temporary_files_and_is_the_same() {
+    // A disk, unlike the folder for temporary files on many machines.
+    let folder = tempfile::tempdir_in(std::env::current_exe().unwrap().parent().unwrap()).unwrap();
+    let model = folder.path().join("statue.ply");
+    let mut command = Program::command("renderer");
+    command.args(["generate", "statue", "--triangles", "2000000"]).arg(&model);
+    Program::succeed(command);
+    let built = |budget: &str| {
+        let file = folder.path().join(format!("{budget}.raywall"));
+        let mut command = program("renderer", folder.path());
+        command.args(["build", "--memory-budget", budget]).arg(&model).arg(&file);
+        let (said, memory) = said_and_memory(command);
+        (said, memory, fs::read(file).unwrap(), fs::read_dir(folder.path()).unwrap().count())
+    };
+    let (said, in_memory, file, n_files) = built("1T");
+    assert!(!said.contains("temporary files"), "{said}");
+    let (said, beside_files, same, n_files_after) = built("40M");
+    if said.contains("no temporary files") {
+        return println!("skipped: {said}");
+    }
+    assert!(said.contains(", more than --memory-budget 40M: temporary files in "), "{said}");
+    assert!(file == same && n_files_after == n_files + 1);
+    assert!(4 * beside_files < in_memory, "{beside_files} and {in_memory} KB");
 }
 
 #[cfg(target_os = "linux")]

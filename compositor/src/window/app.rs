@@ -118,8 +118,7 @@ impl<'a> App<'a> {
         // The first scene of a show takes the place of the model.
         if !plays {
             if !store.has(&source, args.show.model.crease) {
-                let budget = args.scene.shared_by(args.n_local()).options().memory_budget;
-                warn_of_large_file(&source, 1 + args.n_local(), budget);
+                warn_of_large_file(&source, 1 + args.n_local());
             }
             loader.load(source.clone());
         }

@@ -44,7 +44,7 @@ pub fn run(BuildArgs { model, out, threads, scene }: &BuildArgs) -> Result<()> {
     let source = model.source();
     threads::pool(threads.map(usize::from))?.install(|| {
         let options = scene.options();
-        warn_of_large_file(&source, 1, options.memory_budget);
+        warn_of_large_file(&source, 1);
         let progress = Progress::new(format!("loading {source}"));
         let built = store::build_file(&source, model.crease, &options, out, &|stage, done| {
             progress.report(stage, &source, done);

@@ -163,7 +163,7 @@ impl PictureArgs {
         let (source, store, options) = (self.model.source(), self.scene.store(), self.scene.options());
         self.scene.warn_of_scene_file(&source);
         if !store.has(&source, self.model.crease) {
-            large_file::warn_of_large_file(&source, 1, options.memory_budget);
+            large_file::warn_of_large_file(&source, 1);
         }
         let progress = Progress::new(format!("loading {source}"));
         let stored = store.load(&source, self.model.crease, &options, &|stage, done| {

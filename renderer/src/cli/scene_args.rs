@@ -27,8 +27,9 @@ pub struct SceneArgs {
         value_parser = macrocell_levels)]
     macrocell_levels: u8,
 
-    /// Limit of the memory to load and build a scene, for example 512M or 1.5G; a limit that is too small makes the grid
-    /// coarser [default: three quarters of what is free, divided among local render servers]
+    /// Limit of the memory to load and build a scene, for example 512M or 1.5G; what takes more is built in temporary files, or,
+    /// where there is no disk for them, with a coarser grid [default: three quarters of what is free, divided among local
+    /// render servers]
     #[arg(long, help_heading = HEADING, value_name = "SIZE")]
     memory_budget: Option<MemoryBudget>,
 

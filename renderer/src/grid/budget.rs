@@ -41,6 +41,10 @@ impl MemoryBudget {
         Some(Self(self.0.saturating_sub(n_bytes))).filter(|left| Self::RANGE.contains(left))
     }
 
+    pub(crate) fn n_bytes(self) -> u64 {
+        self.0
+    }
+
     pub(crate) fn is_exceeded_by(self, n_bytes: u64) -> bool {
         self.0 < n_bytes
     }

@@ -11,6 +11,7 @@ use shared::{printable::bytes, scene::Crease};
 use crate::{
     formats::sources::{Sources, Stamp},
     grid::{GridOptions, MemoryBudget, Storage},
+    memory::spill::Spill,
     model::scene::{self, LoadError, ModelInfo, SceneSource},
     render::scene::Scene,
     scene_file::{
@@ -193,7 +194,7 @@ impl SceneStore {
                 return self.load_cached(cache, path, crease, options, Keep::IfWorthwhile, report);
             }
         }
-        let built = build(source, crease, options, report)?;
+        let built = build(source, crease, options, &std::env::temp_dir(), report)?;
         if let (Some(fault), SceneSource::File(_)) = (&self.fault, source)
             && is_worthwhile(&built.scene)
         {
@@ -240,11 +241,11 @@ impl SceneStore {
             lock.iter().for_each(|lock| lock.tell(done));
             report(stage, done);
         };
-        let built = build(&SceneSource::File(model.to_owned()), crease, options, &report)?;
+        let built = build(&SceneSource::File(model.to_owned()), crease, options, cache.folder(), &report)?;
         if lock.is_none() || keep == Keep::IfWorthwhile && !is_worthwhile(&built.scene) {
             return Ok(built.into());
         }
-        self.keep(cache, &path, model, built, options.memory_budget, &report)
+        self.keep(cache, &path, model, built, &report)
     }
 
     /// Writes a scene into the cache, drops it, and takes it from there: other processes then share its memory. If that fails,
@@ -255,7 +256,6 @@ impl SceneStore {
         path: &Path,
         model: &Path,
         mut built: Built,
-        budget: MemoryBudget,
         report: Report<'_>,
     ) -> Result<StoredScene, LoadError> {
         let progress = |done: f32| report(Stage::Writing, 0.9 + 0.1 * done);
@@ -268,7 +268,8 @@ impl SceneStore {
                 return Err(io::Error::other(format!("it has {n_bytes}, more than the cache may have")).into());
             }
             let new = file::begin(path)?;
-            let hash = file::write(new.file(), &mut built.scene, &built.info, (Some(sources), budget), &progress)?;
+            let hash =
+                file::write(new.file(), &mut built.scene, &built.info, (Some(sources), built.budget), &progress)?;
             new.appear()?;
             Ok((SceneFile::open(path)?, hash))
         };
@@ -336,10 +337,11 @@ pub fn build_file(
     out: &Path,
     report: Report<'_>,
 ) -> anyhow::Result<(ModelInfo, u64)> {
-    let Built { info, mut scene, .. } = build(source, crease, options, report)?;
+    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let Built { info, mut scene, budget, _spill, .. } = build(source, crease, options, folder, report)?;
     let new = file::begin(out)?;
     let progress = |done: f32| report(Stage::Writing, 0.9 + 0.1 * done);
-    file::write(new.file(), &mut scene, &info, (None, options.memory_budget), &progress)?;
+    file::write(new.file(), &mut scene, &info, (None, budget), &progress)?;
     let n_bytes = new.file().metadata()?.len();
     new.finish()?;
     Ok((info, n_bytes))
@@ -350,6 +352,10 @@ struct Built {
     info: ModelInfo,
     sources: Option<Sources>,
     scene: Scene,
+    /// The budget that the grid had.
+    budget: MemoryBudget,
+    /// Lasts while the scene is written.
+    _spill: Option<Spill>,
 }
 
 impl From<Built> for StoredScene {
@@ -358,12 +364,45 @@ impl From<Built> for StoredScene {
     }
 }
 
-fn build(source: &SceneSource, crease: Crease, options: &GridOptions, report: Report<'_>) -> Result<Built, LoadError> {
+/// Builds a scene; one that takes more than the memory budget in temporary files in a folder.
+fn build(
+    source: &SceneSource,
+    crease: Crease,
+    options: &GridOptions,
+    temporary: &Path,
+    report: Report<'_>,
+) -> Result<Built, LoadError> {
+    // The paper's grids have as many cells as the budget allows.
+    let is_tree = options.storage == Storage::Tree;
+    let spill = is_tree.then(|| spill(source, options.memory_budget, temporary)).flatten();
+    let budget = if spill.is_some() { *MemoryBudget::RANGE.end() } else { options.memory_budget };
+    let options = GridOptions { memory_budget: budget, ..*options };
     let loaded = scene::load(source, crease, &|done| report(Stage::Loading, 0.5 * done))?;
     let (mut info, sources) = (loaded.info(false), loaded.sources.clone());
-    let scene = Scene::build(loaded.smooth().mesh, options, &|done| report(Stage::Building, 0.5 + 0.4 * done));
+    let scene = Scene::build(loaded.smooth().mesh, &options, &|done| report(Stage::Building, 0.5 + 0.4 * done));
     info.is_solid = scene.mesh().facing().is_some();
-    Ok(Built { info, sources, scene })
+    Ok(Built { info, sources, scene, budget, _spill: spill })
+}
+
+/// Begins a spill if building a model takes more memory than it may.
+fn spill(source: &SceneSource, budget: MemoryBudget, folder: &Path) -> Option<Spill> {
+    let SceneSource::File(path) = source else { return None };
+    // A binary PLY file has 19 bytes a triangle, and building its scene takes twice as many and some more.
+    let peak_bytes = path.metadata().ok()?.len() / 10 * 22;
+    if !budget.is_exceeded_by(peak_bytes) {
+        return None;
+    }
+    let takes = format!("{source}: building it takes about {}, more than --memory-budget {budget}", bytes(peak_bytes));
+    match Spill::begin(folder, budget.n_bytes()) {
+        Ok(spill) => {
+            tracing::info!("{takes}: temporary files in {} hold the rest, which takes longer", folder.display());
+            Some(spill)
+        }
+        Err(error) => {
+            tracing::warn!("{takes}; no temporary files in {} can hold the rest: {error}", folder.display());
+            None
+        }
+    }
 }
 
 fn is_worthwhile(scene: &Scene) -> bool {

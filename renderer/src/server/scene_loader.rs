@@ -43,7 +43,7 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 const FETCH_PAUSES: Range<Duration> = Duration::from_secs(2)..Duration::from_secs(60);
 
 /// About the memory of mesh and grid of a scan, to estimate that of the built-in model.
-const BYTES_PER_TRIANGLE: u64 = 74;
+const BYTES_PER_TRIANGLE: u64 = 64;
 
 /// Length and time of a file, if it is there.
 type FileState = Option<(u64, Option<SystemTime>)>;
@@ -511,7 +511,7 @@ impl LoaderThread {
         self.current.set(None);
         tracing::info!("loading {source}");
         if self.told == Told::Everything && !self.store.has(source, crease) {
-            warn_of_large_file(source, 1, self.options.memory_budget);
+            warn_of_large_file(source, 1);
         }
         let bar = Progress::new(format!("loading {source}"));
         let report = |stage: Stage, fraction: f32| {

@@ -33,13 +33,13 @@ use crate::{farm::renderer_program, statistics::median};
 
 /// Bytes of memory that building takes for each triangle, with some room: in scenes with a hierarchy over triangles, and in
 /// larger ones.
-const MEMORY_BYTES: [u64; 2] = [160, 70];
+const MEMORY_BYTES: [u64; 2] = [160, 40];
 
 /// Bytes of a binary PLY file for each triangle: half a vertex, and a face.
 const MODEL_BYTES: u64 = 19;
 
 /// Bytes of a scene file for each triangle, as those of memory; the larger ones have stand-ins.
-const SCENE_BYTES: [u64; 2] = [76, 52];
+const SCENE_BYTES: [u64; 2] = [68, 36];
 
 /// Fewest triangles of a scene that has no hierarchy over them.
 const FEWEST_OF_LARGE: u32 = 4_000_000;
@@ -275,18 +275,18 @@ mod tests {
     #[test]
     fn a_size_fits_where_memory_and_disk_are_free_or_unknown() {
         let need = Need::of(10_000_000);
-        assert_eq!((need.memory, need.disk), (Some(764_000_000), Some(774_000_000)));
+        assert_eq!((need.memory, need.disk), (Some(464_000_000), Some(614_000_000)));
         let free = |memory, disk| Need { memory, disk, triangles: 0 };
         for (free, fits) in [
-            (free(Some(764_000_000), Some(774_000_000)), true),
+            (free(Some(464_000_000), Some(614_000_000)), true),
             (free(None, None), true),
-            (free(Some(763_999_999), None), false),
-            (free(Some(u64::MAX), Some(773_999_999)), false),
+            (free(Some(463_999_999), None), false),
+            (free(Some(u64::MAX), Some(613_999_999)), false),
         ] {
             assert_eq!(need.fits(&free), fits, "{free:?}");
         }
         let line = need.line(Path::new("there"), &free(Some(1_000_000), None));
-        let told = "764 MB of memory and 774 MB of disk in there; 1.0 MB and an unknown amount are free";
+        let told = "464 MB of memory and 614 MB of disk in there; 1.0 MB and an unknown amount are free";
         assert_eq!(line, format!("10000000 triangles need {told}"));
     }
 }

@@ -193,7 +193,7 @@ fn load_model(args: &WallArgs) -> anyhow::Result<Model> {
     args.scene.warn_of_scene_file(&source);
     let store = args.scene.store();
     if !store.has(&source, model.crease) {
-        warn_of_large_file(&source, 1 + args.n_local(), args.scene.shared_by(args.n_local()).options().memory_budget);
+        warn_of_large_file(&source, 1 + args.n_local());
     }
     let bar = Progress::new(format!("loading {source}"));
     Ok(Model::load(source, model.crease, &store, &|fraction| bar.set(fraction))?)

@@ -91,9 +91,9 @@ impl Corners {
         }
         let mut vertices = [[0; 16]; 3];
         for lane in 0..16 {
-            for corner in 0..3 {
-                vertices[corner][lane] = starts[lane] + (packed[lane] >> (8 * corner) & 0xff);
-            }
+            vertices[0][lane] = starts[lane] + (packed[lane] & 0xff);
+            vertices[1][lane] = starts[lane] + (packed[lane] >> 8 & 0xff);
+            vertices[2][lane] = starts[lane] + (packed[lane] >> 16 & 0xff);
         }
         vertices
     }
