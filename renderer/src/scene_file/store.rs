@@ -280,7 +280,9 @@ impl SceneStore {
                 Ok(self.take(file, path, Some(hash), &progress).map_err(|fault| error_of(path, fault))?)
             }
             Err(fault) => {
-                tracing::warn!("{}: the scene is not kept in the cache: {fault}", model.display());
+                // "Cannot be read" would be said of a file that was written.
+                let cause = if let Fault::Io(error) = &fault { error.to_string() } else { fault.to_string() };
+                tracing::warn!("{}: the scene is not kept in the cache: {cause}", model.display());
                 Ok(built.into())
             }
         }
