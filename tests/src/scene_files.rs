@@ -74,7 +74,7 @@ fn wall_and_render_servers_build_a_model_once_and_show_the_same() {
     assert!(cache(&["--clear"]).contains(" are free again") && cache(&[]).contains(": 0 scenes, 0 "), "{}", cache(&[]));
 }
 
-/// What a program says, and the most kilobytes of memory of its own that it was seen to hold.
+/// Runs a program; returns what it says, and the most kilobytes of memory of its own that it was seen to hold.
 #[cfg(target_os = "linux")]
 fn said_and_memory(mut command: Command) -> (String, u64) {
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();

@@ -16,7 +16,8 @@ pub struct GridOptions {
     pub macrocell_levels: u8,
     /// Storage of the cells.
     pub storage: Storage,
-    /// Memory that loading the scene may take; the grid is made coarser to stay within it.
+    /// Memory that loading the scene may take. A [`SceneStore`](crate::scene_file::store::SceneStore) builds what takes more in
+    /// temporary files; without them the grid is made coarser.
     pub memory_budget: MemoryBudget,
 }
 

@@ -30,7 +30,7 @@ const LEAST_BYTES: usize = 1 << 20;
 /// Most blocks at a time: below the 65,530 mappings that Linux allows a process.
 const MOST_BLOCKS: usize = 1 << 14;
 
-/// What is given back at once, in a few milliseconds.
+/// The watcher gives so much back at once, in a few milliseconds.
 const PIECE_BYTES: usize = 1 << 25;
 
 /// Blocks begin at multiples of it.

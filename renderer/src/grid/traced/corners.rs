@@ -149,7 +149,7 @@ struct Recent {
 }
 
 impl RecentVertices {
-    /// So many that few of a window's vertices share a slot.
+    /// Few of a window's vertices share one of so many slots.
     const N_SLOTS: usize = 1 << Self::HASH_BITS;
     const HASH_BITS: u32 = 12;
 
