@@ -1,6 +1,6 @@
 //! Quantised bounds of the triangles in each leaf: most triangles are rejected without reading their vertices.
 //!
-//! Six bytes a triangle: the bounds of its triangle within the leaf's cube, in steps of a 250th of the cube. A box
+//! Six bytes a triangle: its bounds within the leaf's cube, in steps of a 250th of the cube. A box
 //! holds the part of its triangle inside the cube, so a ray that hits the triangle there passes the box. Vertices lie
 //! far apart in memory; in a scan seen from afar nearly all boxes lie between the rays.
 
