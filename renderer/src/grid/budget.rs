@@ -41,7 +41,8 @@ impl MemoryBudget {
         Some(Self(self.0.saturating_sub(n_bytes))).filter(|left| Self::RANGE.contains(left))
     }
 
-    pub(crate) fn n_bytes(self) -> u64 {
+    /// The number of bytes.
+    pub fn n_bytes(self) -> u64 {
         self.0
     }
 

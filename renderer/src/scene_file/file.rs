@@ -20,8 +20,8 @@ use crate::{
     scene_file::{
         bytes::FileBytes,
         fault::{Damage, Fault},
-        head::{Extent, Hash, Head, LONGEST_RECORD, MAGIC, PREFIX_BYTES, ZEROS},
-        sections::{Collector, Filler, expect},
+        head::{Extent, Hash, Head, LONGEST_RECORD, MAGIC, PREFIX_BYTES},
+        sections::{Collector, Filler, Writer, expect},
     },
 };
 
@@ -72,10 +72,35 @@ pub(crate) fn write(
     out: impl Write,
     scene: &mut Scene,
     info: &ModelInfo,
+    origin: (Option<&Sources>, MemoryBudget),
+    progress: &(dyn Fn(f32) + Sync),
+) -> io::Result<Hash> {
+    write_arrays(out, scene, true, info, origin, progress)
+}
+
+/// Does the same with a scene that has no further use: each of its arrays goes when it is written, so that file and scene
+/// together take little more than one of them.
+///
+/// # Errors
+/// The file cannot be written.
+pub(crate) fn write_last(
+    out: impl Write,
+    mut scene: Scene,
+    info: &ModelInfo,
+    origin: (Option<&Sources>, MemoryBudget),
+    progress: &(dyn Fn(f32) + Sync),
+) -> io::Result<Hash> {
+    write_arrays(out, &mut scene, false, info, origin, progress)
+}
+
+fn write_arrays(
+    out: impl Write,
+    scene: &mut Scene,
+    keeps: bool,
+    info: &ModelInfo,
     (sources, budget): (Option<&Sources>, MemoryBudget),
     progress: &(dyn Fn(f32) + Sync),
 ) -> io::Result<Hash> {
-    let mut out = BufWriter::with_capacity(1 << 20, out);
     if !scene.grids().all(Grid::is_storable) {
         return Err(io::Error::other("scene files hold the default storage alone: leave --storage out"));
     }
@@ -86,21 +111,16 @@ pub(crate) fn write(
     scene.grids_mut().try_for_each(|grid| grid.visit_sections(&mut collector)).map_err(io::Error::other)?;
     let head = Head::new(&collector.sections, record);
     progress(0.4);
-    let mut at = 0;
-    let mut put = |bytes: &[u8]| -> io::Result<()> {
-        // In pieces, for the progress.
-        for piece in bytes.chunks(1 << 24) {
-            out.write_all(piece)?;
-            at += piece.len();
-            progress(0.4 + 0.6 * (at as f32 / head.n_bytes() as f32));
-        }
-        let n_zeros = at.next_multiple_of(ZEROS.len()) - at;
-        at += n_zeros;
-        out.write_all(&ZEROS[..n_zeros])
-    };
-    put(&head.to_bytes())?;
-    collector.sections.iter().try_for_each(|(_, bytes)| put(bytes))?;
-    out.flush()?;
+
+    let tell = |n_written: usize| progress(0.4 + 0.6 * (n_written as f32 / head.n_bytes() as f32));
+    let out = BufWriter::with_capacity(1 << 20, out);
+    let mut writer = Writer { out, keeps, n_written: 0, progress: &tell };
+    writer.put(&head.to_bytes())?;
+    scene.grids_mut().try_for_each(|grid| grid.visit_sections(&mut writer)).map_err(|fault| match fault {
+        Fault::Io(error) => error,
+        other => io::Error::other(other),
+    })?;
+    writer.out.flush()?;
     Ok(head.hash)
 }
 

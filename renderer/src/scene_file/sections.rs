@@ -2,14 +2,17 @@
 //!
 //! A scene lists its arrays once, in its `visit_sections` and those of its parts; writing and reading follow that list.
 
-use std::sync::Arc;
+use std::{
+    io::{self, Write},
+    sync::Arc,
+};
 
 use bytemuck::Pod;
 
 use crate::scene_file::{
     bytes::FileBytes,
     fault::{Damage, Fault},
-    head::Head,
+    head::{Head, ZEROS},
     section::Section,
 };
 
@@ -29,6 +32,42 @@ pub(crate) struct Collector<'a> {
 impl<'a> SectionVisitor<'a> for Collector<'a> {
     fn visit<T: Pod>(&mut self, name: &'static str, section: &'a mut Section<T>) -> Result<(), Fault> {
         self.sections.push((name, bytemuck::cast_slice(section)));
+        Ok(())
+    }
+}
+
+/// Writes the bytes of all arrays to a file, whose next byte begins a page.
+pub(crate) struct Writer<'p, W> {
+    pub(crate) out: W,
+    /// Whether the scene keeps its arrays; else each is dropped when it is written.
+    pub(crate) keeps: bool,
+    /// Bytes that were written.
+    pub(crate) n_written: usize,
+    /// Receives their number.
+    pub(crate) progress: &'p dyn Fn(usize),
+}
+
+impl<W: Write> Writer<'_, W> {
+    /// Writes bytes, and zeros up to the next page.
+    pub(crate) fn put(&mut self, bytes: &[u8]) -> io::Result<()> {
+        // In pieces, for the progress.
+        for piece in bytes.chunks(1 << 24) {
+            self.out.write_all(piece)?;
+            self.n_written += piece.len();
+            (self.progress)(self.n_written);
+        }
+        let n_zeros = self.n_written.next_multiple_of(ZEROS.len()) - self.n_written;
+        self.n_written += n_zeros;
+        self.out.write_all(&ZEROS[..n_zeros])
+    }
+}
+
+impl<W: Write> SectionVisitor<'_> for Writer<'_, W> {
+    fn visit<T: Pod>(&mut self, _: &'static str, section: &mut Section<T>) -> Result<(), Fault> {
+        self.put(bytemuck::cast_slice(section))?;
+        if !self.keeps {
+            *section = Section::default();
+        }
         Ok(())
     }
 }

@@ -340,10 +340,10 @@ pub fn build_file(
     report: Report<'_>,
 ) -> anyhow::Result<(ModelInfo, u64)> {
     let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let Built { info, mut scene, budget, _spill, .. } = build(source, crease, options, folder, report)?;
+    let Built { info, scene, budget, _spill, .. } = build(source, crease, options, folder, report)?;
     let new = file::begin(out)?;
     let progress = |done: f32| report(Stage::Writing, 0.9 + 0.1 * done);
-    file::write(new.file(), &mut scene, &info, (None, budget), &progress)?;
+    file::write_last(new.file(), scene, &info, (None, budget), &progress)?;
     let n_bytes = new.file().metadata()?.len();
     new.finish()?;
     Ok((info, n_bytes))

@@ -22,6 +22,7 @@ use renderer::{
         say,
         stop::Task,
     },
+    grid::MemoryBudget,
     model::statue,
 };
 use serde::Serialize;
@@ -62,6 +63,10 @@ pub struct LargeArgs {
     #[arg(long, value_name = "DIR", default_value = "target/large")]
     folder: PathBuf,
 
+    /// Build within so much memory, with temporary files for what takes more; without it, in memory alone
+    #[arg(long, value_name = "BYTES")]
+    memory_budget: Option<MemoryBudget>,
+
     /// Keep the files, and use a statue that is there in place of a new one
     #[arg(long)]
     keep: bool,
@@ -100,7 +105,7 @@ struct Row {
 pub(crate) fn run(args: &LargeArgs) -> Result<()> {
     fs::create_dir_all(&args.folder).with_context(|| format!("{}: cannot be made", args.folder.display()))?;
     for &triangles in &args.triangles {
-        let need = Need::of(triangles);
+        let need = Need::within(args.memory_budget, triangles);
         let FreeMemory { shared, own } = FreeMemory::now();
         let free = Need { memory: shared.into_iter().chain(own).min(), disk: free_disk(&args.folder), triangles };
         if !args.json {
@@ -115,7 +120,7 @@ pub(crate) fn run(args: &LargeArgs) -> Result<()> {
     let mut rows = Vec::new();
     for &triangles in &args.triangles {
         let files = Files::new(&args.folder, triangles, args.keep)?;
-        rows.push(measure(&files, triangles)?);
+        rows.push(measure(&files, args.memory_budget, triangles)?);
         if !args.json {
             say(table(&rows))?;
         }
@@ -136,6 +141,19 @@ impl Need {
         let is_large = usize::from(triangles >= FEWEST_OF_LARGE);
         let all = |each: u64| Some(FEWEST_BYTES + u64::from(triangles) * each);
         Self { memory: all(MEMORY_BYTES[is_large]), disk: all(MODEL_BYTES + SCENE_BYTES[is_large]), triangles }
+    }
+
+    /// What a size needs that is built within a memory budget: what is more lies on the disk, and leaves it as the scene file
+    /// is written.
+    fn within(budget: Option<MemoryBudget>, triangles: u32) -> Self {
+        let whole = Self::of(triangles);
+        match (budget.map(MemoryBudget::n_bytes), whole.memory) {
+            (Some(budget), Some(memory)) if budget < memory => {
+                let on_disk = FEWEST_BYTES + u64::from(triangles) * MODEL_BYTES + memory;
+                Self { memory: Some(budget), disk: whole.disk.max(Some(on_disk)), triangles }
+            }
+            _ => whole,
+        }
     }
 
     fn fits(&self, free: &Self) -> bool {
@@ -192,7 +210,7 @@ impl Drop for Files {
     }
 }
 
-fn measure(files: &Files, triangles: u32) -> Result<Row> {
+fn measure(files: &Files, budget: Option<MemoryBudget>, triangles: u32) -> Result<Row> {
     let task = |name: &str| Task::named(format!("{name} {}", counted(triangles, "triangle")));
     let n_bytes = |path: &Path| fs::metadata(path).map(|file| file.len());
     if !(files.is_kept && files.model.is_file()) {
@@ -202,8 +220,8 @@ fn measure(files: &Files, triangles: u32) -> Result<Row> {
     }
 
     let building = task("building");
-    // A budget of its own: what is free changes, and decides about the grid.
-    let budget = Need::of(triangles).memory.unwrap_or_default().to_string();
+    // What is free changes, and would decide about the grid.
+    let budget = budget.map_or_else(|| Need::of(triangles).memory.unwrap_or_default().to_string(), |it| it.to_string());
     let mut build = files.renderer()?;
     let built = Watched::run(build.arg("build").args([&files.model, &files.scene]).args(["--memory-budget", &budget]))?;
     drop(building);
@@ -285,6 +303,8 @@ mod tests {
         ] {
             assert_eq!(need.fits(&free), fits, "{free:?}");
         }
+        let within = Need::within(Some("200M".parse().unwrap()), 10_000_000);
+        assert_eq!((within.memory, within.disk), (Some(200_000_000), Some(718_000_000)));
         let line = need.line(Path::new("there"), &free(Some(1_000_000), None));
         let told = "464 MB of memory and 614 MB of disk in there; 1.0 MB and an unknown amount are free";
         assert_eq!(line, format!("10000000 triangles need {told}"));
