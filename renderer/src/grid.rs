@@ -51,6 +51,7 @@ pub struct Grid {
 }
 
 #[derive(Debug, Serialize, Deserialize)]
+#[expect(clippy::large_enum_variant, reason = "a scene has few, and nearly all are trees")]
 pub(crate) enum Structure {
     Tree(Tree),
     #[serde(skip)]

@@ -13,6 +13,7 @@ use crate::{
             boxes::{QuantizedBoxes, leaf_cubes},
             divide::{Builder, TreePart},
             hierarchy::Hierarchy,
+            items::Items,
             scatter::Scatter,
         },
         uniform::{DenseIndex, UniformGrid, resolution::resolution, row_displacement::RowDisplacement},
@@ -21,8 +22,8 @@ use crate::{
     simd::InstructionSet,
 };
 
-/// Bytes of a triangle or copy in a tree's leaf, with its part of leaves and nodes.
-const TREE_BYTES_PER_REFERENCE: u64 = TracedMesh::BYTES_PER_COPY + 1;
+/// Bytes of a triangle in a tree's leaf, with its part of leaves and nodes; guests take less.
+const TREE_BYTES_PER_REFERENCE: u64 = TracedMesh::BYTES_PER_TRIANGLE + 1;
 
 /// Bytes of its box, with its part of the hierarchy's; they are made after the loaded mesh is dropped.
 const BOX_BYTES_PER_REFERENCE: u64 = 7;
@@ -70,7 +71,7 @@ impl Grid {
                 Self::tree(mesh, &bounds, density, [most_bytes, most_bytes_in_order], progress)
             }
             Storage::Plain | Storage::RowDisplacement => {
-                let n_bytes = TracedMesh::BYTES_PER_COPY * mesh.triangles.len() as u64;
+                let n_bytes = TracedMesh::BYTES_PER_TRIANGLE * mesh.triangles.len() as u64;
                 Self::uniform(mesh, &bounds, density, options, most_bytes.saturating_sub(n_bytes))
             }
         };
@@ -148,9 +149,10 @@ impl Grid {
         // Order the mesh by the tree, which drops the loaded mesh, and measure the boxes.
         let TreePart { nodes, leaf_ends: mut leaf_starts, references } = part;
         leaf_starts.insert(0, 0);
-        let mesh = TracedMesh::new(mesh, references);
+        let (items, order) = Items::new(references, mesh.triangles.len());
+        let mesh = TracedMesh::new(mesh, order);
         let leaf_cubes = leaf_cubes(dims, &bricks, &nodes, leaf_starts.len() - 1);
-        let boxes = QuantizedBoxes::new(&space, &leaf_cubes, &leaf_starts, &mesh);
+        let boxes = QuantizedBoxes::new(&space, &leaf_cubes, &leaf_starts, &items, &mesh);
         let extent = space.point_to_cells(max).to_array();
         let extent = [0, 1, 2].map(|axis| (extent[axis] as u32 + 1).min(dims[axis] * BRICK_SIZE));
         let hierarchy = Hierarchy::default();
@@ -160,13 +162,14 @@ impl Grid {
             bricks: bricks.into(),
             nodes: nodes.into(),
             leaf_starts: leaf_starts.into(),
+            items,
             boxes,
             leaf_cubes: leaf_cubes.into(),
             hierarchy,
         };
         let n_bytes_left = most_bytes_in_order.saturating_sub(tree.figures().n_bytes() as u64);
-        let is_over_triangles =
-            |n_bytes_left| Hierarchy::is_over_triangles(mesh.n_triangles(), mesh.n_copies(), n_bytes_left);
+        let n_items = tree.n_items();
+        let is_over_triangles = |n_bytes_left| Hierarchy::is_over_triangles(mesh.n_triangles(), n_items, n_bytes_left);
         let is_limited = is_over_triangles(u64::MAX) && !is_over_triangles(n_bytes_left);
         tree.hierarchy = if is_over_triangles(n_bytes_left) {
             Tree::hierarchy_over_triangles(&space, &mesh)

@@ -46,7 +46,7 @@ impl Grid {
         expect(origin.iter().all(|x| x.is_finite()) && cells_per_unit.is_normal() && cells_per_unit > 0.0, "cells")?;
         self.mesh.check_sizes()?;
         match &self.structure {
-            Structure::Tree(tree) => tree.check_sizes(self.mesh.n_copies()),
+            Structure::Tree(tree) => tree.check_sizes(self.mesh.n_triangles()),
             Structure::Plain(_) | Structure::RowDisplacement(_) => Err(Damage::Content("cells")),
         }
     }
@@ -54,7 +54,7 @@ impl Grid {
     /// Checks the contents of the arrays, in parallel, after [`Grid::check_sizes`].
     pub(crate) fn check_contents(&self) -> Result<(), Damage> {
         let Structure::Tree(tree) = &self.structure else { return Err(Damage::Content("cells")) };
-        let (mesh, tree) = rayon::join(|| self.mesh.check_contents(), || tree.check_contents(self.mesh.n_copies()));
+        let (mesh, tree) = rayon::join(|| self.mesh.check_contents(), || tree.check_contents(self.mesh.n_triangles()));
         mesh.and(tree)
     }
 }

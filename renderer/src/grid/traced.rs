@@ -1,9 +1,8 @@
 //! The mesh that rays hit: ordered so that triangles close in space are close in memory.
 
 mod corners;
+mod file_indices;
 mod stored;
-
-use std::ops::Range;
 
 use bytemuck::Pod;
 use glam::{DVec3, Vec2, Vec3};
@@ -26,11 +25,11 @@ use crate::{
     },
 };
 use corners::Corners;
+use file_indices::FileIndices;
 
 /// A mesh in the order of a grid's cells, without triangles that cannot be hit.
 ///
-/// A triangle index is a position here. A triangle that lies in several leaves of a tree has a copy in each, with the same
-/// [`TracedMesh::file_index`], which is the triangle's number in the file.
+/// A triangle index is a position here; [`TracedMesh::file_index`] is the triangle's number in the file.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct TracedMesh {
     /// Positions, and one more at the end, see [`TracedMesh::coordinates`].
@@ -40,9 +39,7 @@ pub struct TracedMesh {
     #[serde(skip)]
     corners: Corners,
     #[serde(skip)]
-    file_indices: Section<u32>,
-    /// Triangles without their copies.
-    n_triangles: usize,
+    file_indices: FileIndices,
     /// sRGB, one for each vertex; empty in a mesh without colours.
     #[serde(skip)]
     colors: Section<[u8; 3]>,
@@ -60,17 +57,17 @@ pub struct TracedMesh {
 }
 
 impl TracedMesh {
-    /// Bytes of a triangle and of each of its copies, without vertices.
-    pub(crate) const BYTES_PER_COPY: u64 = size_of::<u32>() as u64 + Corners::BYTES_PER_TRIANGLE;
+    /// Bytes of a triangle, without vertices.
+    pub(crate) const BYTES_PER_TRIANGLE: u64 = FileIndices::BYTES_PER_TRIANGLE + Corners::BYTES_PER_TRIANGLE;
 
-    /// Bytes that a mesh takes while it is ordered, as loaded and as traced, without triangles and copies of the latter.
+    /// Bytes that a mesh takes while it is ordered, as loaded and as traced, without triangles of the latter.
     pub(crate) fn peak_bytes(mesh: &Mesh) -> u64 {
         let geometry_bytes = (mesh.n_bytes() - mesh.materials.n_bytes()) as u64;
         let numbers_bytes = size_of::<u32>() as u64 * vertices_in_order(mesh);
         geometry_bytes + Self::vertex_bytes(mesh) + numbers_bytes + TracedMaterials::peak_bytes(&mesh.materials)
     }
 
-    /// Bytes of an ordered mesh, without triangles and their copies.
+    /// Bytes of an ordered mesh, without triangles.
     pub(crate) fn bytes_in_order(mesh: &Mesh) -> u64 {
         Self::vertex_bytes(mesh) + TracedMaterials::n_bytes_of(&mesh.materials)
     }
@@ -83,20 +80,20 @@ impl TracedMesh {
         bytes_per_vertex as u64 * vertices_in_order(mesh)
     }
 
-    /// A mesh of these triangles in this order, by their number in `mesh`; copies of a triangle have the same.
-    pub fn new(mesh: Mesh, file_indices: Vec<u32>) -> Self {
+    /// A mesh of these triangles in this order, by their number in `mesh`.
+    pub fn new(mesh: Mesh, order: Vec<u32>) -> Self {
         let (bounds, bulk_bounds, facing) = (mesh.bounds(), mesh.bulk().bounds, mesh.facing());
         let Mesh { vertices, triangles, colors, normals, texture_coordinates, materials, origin, .. } = mesh;
-        let n_triangles = first_copies(&file_indices, triangles.len()).count();
-        let (corners, kept_vertices) = Corners::new(&file_indices, &triangles);
+        let (corners, kept_vertices) = Corners::new(&order, &triangles);
         drop(triangles);
-        let materials = TracedMaterials::new(materials, &file_indices);
+        let materials = TracedMaterials::new(materials, &order);
+        let file_indices = FileIndices::new(&order);
+        drop(order);
         let is_textured = materials.has_textures() && !texture_coordinates.is_empty();
         Self {
             vertices: of_vertices(&vertices, &kept_vertices, 1).into(),
             corners,
-            n_triangles,
-            file_indices: file_indices.into(),
+            file_indices,
             colors: of_vertices(&colors, &kept_vertices, 0).into(),
             normals: of_vertices(&normals, &kept_vertices, 0).into(),
             texture_coordinates: if is_textured {
@@ -112,11 +109,10 @@ impl TracedMesh {
         }
     }
 
-    /// A mesh without copies: its triangles have the order of their first mention in `references`, which become triangle
-    /// indices.
+    /// A mesh whose triangles have the order of their first mention in `references`, which become triangle indices.
     pub(crate) fn in_order_of(mesh: Mesh, references: &mut [u32]) -> Self {
         let file_indices: Vec<u32> =
-            first_copies(references, mesh.triangles.len()).map(|nth| references[nth]).collect();
+            first_mentions(references, mesh.triangles.len()).map(|nth| references[nth]).collect();
         let mut triangle_indices = vec![u32::MAX; mesh.triangles.len()];
         for (triangle_idx, &file_index) in file_indices.iter().enumerate() {
             triangle_indices[file_index as usize] = triangle_idx as u32;
@@ -125,26 +121,15 @@ impl TracedMesh {
         Self::new(mesh, file_indices)
     }
 
-    /// The first copies of all triangles, by triangle index.
-    pub(crate) fn first_copies(&self) -> Vec<u32> {
-        let n_in_file = self.file_indices.par_iter().max().map_or(0, |&last| last as usize + 1);
-        first_copies(&self.file_indices, n_in_file).map(|triangle_idx| triangle_idx as u32).collect()
-    }
-
-    /// Number of triangles, without their copies.
+    /// Number of triangles.
     pub fn n_triangles(&self) -> usize {
-        self.n_triangles
-    }
-
-    /// Number of triangles and copies: triangle indices are below it.
-    pub fn n_copies(&self) -> usize {
         self.file_indices.len()
     }
 
     /// A triangle's number in the file.
     #[inline]
     pub fn file_index(&self, triangle_idx: u32) -> u32 {
-        self.file_indices[triangle_idx as usize]
+        self.file_indices.of(triangle_idx)
     }
 
     /// A triangle's corners, in model space.
@@ -242,22 +227,11 @@ impl TracedMesh {
     pub fn n_bytes(&self) -> usize {
         size_of_val(&*self.vertices)
             + self.corners.n_bytes()
-            + size_of_val(&*self.file_indices)
+            + self.file_indices.n_bytes()
             + size_of_val(&*self.colors)
             + size_of_val(&*self.texture_coordinates)
             + self.materials.n_bytes()
             + size_of_val(&*self.normals)
-    }
-
-    /// Hints that these triangles of a leaf will be read soon.
-    #[inline(always)]
-    pub(crate) fn prefetch_leaf<S: Simd>(&self, triangles: Range<usize>) {
-        self.corners.prefetch_windows::<S>(triangles.start);
-        let mut at = triangles.start;
-        while at < triangles.end {
-            S::prefetch(&self.file_indices, at);
-            at += 16;
-        }
     }
 
     /// Hints that a triangle's corners will be named soon.
@@ -372,7 +346,7 @@ fn of_vertices<T: Pod + Send + Sync>(values: &[T], kept: &[Vec<u32>], n_zeros: u
 }
 
 /// Positions of each triangle's first mention in a list of numbers below `n_in_file`.
-fn first_copies(file_indices: &[u32], n_in_file: usize) -> impl Iterator<Item = usize> {
+fn first_mentions(file_indices: &[u32], n_in_file: usize) -> impl Iterator<Item = usize> {
     let mut is_known = vec![0u64; n_in_file.div_ceil(64)];
     file_indices.iter().enumerate().filter_map(move |(triangle_idx, &file_index)| {
         let (word, bit) = (&mut is_known[file_index as usize / 64], 1 << (file_index % 64));

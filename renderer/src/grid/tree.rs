@@ -6,6 +6,7 @@
 pub(crate) mod boxes;
 pub(crate) mod divide;
 pub(crate) mod hierarchy;
+pub(crate) mod items;
 pub(crate) mod overlap;
 pub(crate) mod scatter;
 mod stored;
@@ -23,6 +24,7 @@ use crate::{
 };
 use boxes::{LeafCube, QuantizedBoxes};
 use hierarchy::{Bounds, Hierarchy};
+use items::Items;
 
 /// Cells of the paper's resolution along a brick.
 pub(crate) const CELLS_PER_BRICK: u32 = 32;
@@ -46,9 +48,10 @@ pub(crate) struct Tree {
     pub(crate) bricks: Section<u32>,
     #[serde(skip)]
     pub(crate) nodes: Section<TreeNode>,
-    /// Each leaf's first triangle, and the number of triangles with their copies at the end.
+    /// Each leaf's first item, and the number of items at the end.
     #[serde(skip)]
     pub(crate) leaf_starts: Section<u32>,
+    pub(crate) items: Items,
     pub(crate) boxes: QuantizedBoxes,
     /// The cube of each leaf.
     #[serde(skip)]
@@ -82,22 +85,28 @@ impl Tree {
             bricks: vec![Self::EMPTY].into(),
             nodes: Section::default(),
             leaf_starts: vec![0].into(),
+            items: Items::new(Vec::new(), 0).0,
             boxes: QuantizedBoxes::default(),
             leaf_cubes: Section::default(),
             hierarchy: Hierarchy::default(),
         }
     }
 
-    /// The triangle indices of a leaf.
+    /// The items of a leaf.
     #[inline(always)]
-    pub(crate) fn triangles_of(&self, leaf: u32) -> Range<usize> {
+    pub(crate) fn items_of(&self, leaf: u32) -> Range<usize> {
         let leaf = leaf as usize;
         self.leaf_starts[leaf] as usize..self.leaf_starts[leaf + 1] as usize
     }
 
+    /// Number of items of all leaves.
+    pub(crate) fn n_items(&self) -> usize {
+        self.leaf_starts.last().map_or(0, |&end| end as usize)
+    }
+
     /// The hierarchy over this tree's leaves.
     pub(crate) fn hierarchy_over_leaves(&self) -> Hierarchy {
-        let bounds = |leaf: u32| self.boxes.leaf_bounds(leaf, self.leaf_cubes[leaf as usize], self.triangles_of(leaf));
+        let bounds = |leaf: u32| self.boxes.leaf_bounds(leaf, self.leaf_cubes[leaf as usize], self.items_of(leaf));
         Hierarchy::over_leaves((0..self.leaf_cubes.len()).into_par_iter().map(|leaf| bounds(leaf as u32)))
     }
 
@@ -108,7 +117,7 @@ impl Tree {
             let [a, b, c] = mesh.corners(triangle_idx).map(to_cells);
             (triangle_idx, Bounds::new(a.min(b).min(c), a.max(b).max(c)))
         };
-        Hierarchy::over_triangles(mesh.first_copies().into_par_iter().map(bounds))
+        Hierarchy::over_triangles((0..mesh.n_triangles() as u32).into_par_iter().map(bounds))
     }
 
     /// Sizes and counts, without storage and density.
@@ -116,9 +125,10 @@ impl Tree {
         GridStats {
             cells: self.dims.iter().map(|&n| u64::from(n * CELLS_PER_BRICK)).product(),
             lists: self.leaf_starts.len() - 1,
-            references: self.leaf_starts.last().map_or(0, |&end| end as usize),
+            references: self.n_items(),
             macrocell_bytes: size_of_val(&*self.bricks) + size_of_val(&*self.nodes),
             list_bytes: size_of_val(&*self.leaf_starts) + size_of_val(&*self.leaf_cubes),
+            reference_bytes: self.items.n_bytes(),
             box_bytes: Some(self.boxes.n_bytes() + self.hierarchy.n_bytes()),
             ..GridStats::default()
         }

@@ -201,7 +201,8 @@ impl Grid {
         }
 
         // Set up the rays' groups, then find the first slab of bricks that the frustum enters.
-        let mut culler = Culler::new::<S>(self, packets, active, axes, if is_forward { 1.0 } else { -1.0 }, cull);
+        let mut culler =
+            Culler::new::<S>(self, &tree.items, packets, active, axes, if is_forward { 1.0 } else { -1.0 }, cull);
         frustum.slopes = culler.ray_bounds.slopes;
         let entry_depth = frustum.entry_depth();
         let entry_k = entry_depth - frustum.margin;
@@ -335,21 +336,21 @@ impl Tree {
         origin: &[f64; 3],
         leaves: &mut Vec<PendingLeaf<N>>,
     ) {
-        // Prefetch the boxes and triangles of all leaves, so that their cache misses overlap.
+        // Prefetch the boxes and items of all leaves, so that their cache misses overlap.
         for leaf in &*leaves {
-            let triangles = self.triangles_of(leaf.number);
-            self.boxes.prefetch::<S>(triangles.clone());
-            culler.prefetch_leaf::<S>(triangles);
+            let items = self.items_of(leaf.number);
+            self.items.prefetch::<S>(items.start);
+            self.boxes.prefetch::<S>(items);
         }
 
         // Gather the triangles whose boxes some ray may pass.
         for leaf in &*leaves {
-            let triangles = self.triangles_of(leaf.number);
+            let items = self.items_of(leaf.number);
             let mut corner_from_origin = [0.0; 3];
             for local_axis in 0..3 {
                 corner_from_origin[local_axis] = f64::from(leaf.low[local_axis]) - origin[local_axis];
             }
-            let bytes = self.boxes.of_leaf(triangles.clone());
+            let bytes = self.boxes.of_leaf(items.clone());
             let boxes = LeafBoxes::new(
                 bytes,
                 culler.ray_bounds.axes,
@@ -357,9 +358,9 @@ impl Tree {
                 corner_from_origin,
                 leaf.size,
             );
-            culler.gather::<S>(&boxes, triangles, &leaf.rays);
+            culler.gather::<S>(&boxes, items, &leaf.rays);
         }
-        culler.drop_recently_tested::<S>();
+        culler.find_triangles::<S>();
         leaves.clear();
         culler.has_new_tests = true;
     }

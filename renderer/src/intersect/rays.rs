@@ -134,7 +134,7 @@ impl Grid {
                         let triangles = node.children.into_iter().filter(|&triangle| triangle != NONE);
                         triangles.for_each(&mut visit);
                     } else {
-                        tree.triangles_of(index as u32).for_each(|triangle| visit(triangle as u32));
+                        tree.items_of(index as u32).for_each(|item| visit(tree.items.triangle(item as u32)));
                     }
                     entry = descent.next::<true>();
                 }

@@ -44,16 +44,16 @@ struct Slot {
     ray: Ray,
     descent: Descent,
     nearest: Nearest,
-    /// Of the present leaf: its boxes along the ray, and its triangles, from the first group that is collected on.
+    /// Of the present leaf: its boxes along the ray, and its items, from the first group that is collected on.
     slabs: Slabs,
-    triangles: [u32; 2],
+    items: [u32; 2],
 }
 
 impl Slot {
     fn new() -> Self {
         let ray = Ray { origin: Vec3::ZERO, direction: Vec3::ZERO, t_min: 0.0, t_max: 0.0 };
         let (descent, nearest, slabs) = Default::default();
-        Self { ray_idx: 0, ray, descent, nearest, slabs, triangles: [0; 2] }
+        Self { ray_idx: 0, ray, descent, nearest, slabs, items: [0; 2] }
     }
 }
 
@@ -156,7 +156,7 @@ struct State {
     starts: RayStarts,
     /// Groups of boxes that rays may pass, counted in the slot's leaf.
     groups: Pairs,
-    /// Triangles that rays may hit.
+    /// Triangles that rays may hit, or items of leaves.
     triangles: Pairs,
 }
 
@@ -288,10 +288,11 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
     fn visit_leaves<S: Simd>(&mut self, slots: &[u32]) {
         if self.tree.hierarchy.triangle_nodes.is_empty() {
             self.collect_groups::<S>(slots);
+            self.decide_items::<S>();
         } else {
             self.collect_triangles::<S>(slots);
+            self.decide_triangles::<S>();
         }
-        self.decide_triangles::<S>();
         for &slot in slots {
             let slot_idx = slot as usize % N_SLOTS;
             let Slot { descent, nearest, .. } = &mut self.state.slots[slot_idx];
@@ -327,11 +328,12 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
             while next < slots.len() && !self.state.groups.is_full() {
                 let slot_idx = slots[next] as usize % N_SLOTS;
                 let leaf = self.state.entries[slot_idx] & !LEAF;
-                let Slot { descent, slabs, triangles, .. } = &mut self.state.slots[slot_idx];
-                let of_leaf = self.tree.triangles_of(leaf);
+                let Slot { descent, slabs, items, .. } = &mut self.state.slots[slot_idx];
+                let of_leaf = self.tree.items_of(leaf);
                 let n_groups = of_leaf.len().div_ceil(GROUP);
                 *slabs = descent.leaf_slabs(self.tree.leaf_cubes[leaf as usize]);
-                *triangles = [(of_leaf.start + first * GROUP) as u32, of_leaf.end as u32];
+                *items = [(of_leaf.start + first * GROUP) as u32, of_leaf.end as u32];
+                self.tree.items.prefetch::<S>(of_leaf.start);
                 let groups = self.tree.boxes.of_groups(leaf, of_leaf).group(first);
                 self.state.groups.push_passed::<S>(slots[next], descent, slabs, groups, 0);
                 let is_last = first + GROUP >= n_groups;
@@ -351,15 +353,29 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
         for index in 0..std::mem::take(&mut self.state.groups.n) {
             let slot_idx = self.state.groups.slots[index];
             let slot = &mut self.state.slots[slot_idx as usize];
-            let [first_of_groups, end] = slot.triangles;
+            let [first_of_groups, end] = slot.items;
             let first = first_of_groups + self.state.groups.indices[index] * GROUP as u32;
             let boxes = self.tree.boxes.group(first as usize, ((end - first) as usize).min(GROUP));
             let n = self.state.triangles.push_passed::<S>(slot_idx, &slot.descent, &slot.slabs, boxes, first);
             slot.nearest.cost.n_tests += n as u32;
             if self.state.triangles.is_full() {
-                self.decide_triangles::<S>();
+                self.decide_items::<S>();
             }
         }
+    }
+
+    /// Decides all pairs of a ray and an item. All triangles are found first, so that their cache misses overlap.
+    #[inline(always)]
+    fn decide_items<S: Simd>(&mut self) {
+        let Pairs { indices, n, .. } = &mut self.state.triangles;
+        for index in &mut indices[..*n] {
+            *index = self.tree.items.triangle(*index);
+            self.grid.mesh().prefetch::<S>(*index);
+        }
+        for &triangle in &indices[..*n] {
+            self.grid.mesh().prefetch_vertices::<S>(triangle);
+        }
+        self.decide_triangles::<S>();
     }
 
     /// Decides all pairs of a ray and a triangle.

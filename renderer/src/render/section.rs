@@ -56,7 +56,7 @@ impl Section {
     fn cut(mesh: &TracedMesh, origin: DVec3, normal: DVec3) -> Option<Self> {
         let height = |corner: Vec3| normal.dot(corner.as_dvec3() - origin);
         let (mut section, mut numbers) = (Self::default(), HashMap::<Edge, u32>::new());
-        for triangle in 0..mesh.n_copies() as u32 {
+        for triangle in 0..mesh.n_triangles() as u32 {
             let corners = mesh.corners(triangle).map(Vec3::from_array);
             let is_above = corners.map(|corner| height(corner) >= 0.0);
             if is_above == [is_above[0]; 3] {

@@ -268,6 +268,6 @@ fn memory_is_counted() {
     let mesh = fences(true);
     let (n_triangles, of_vertices_and_materials) = (mesh.triangles.len() as u64, TracedMesh::bytes_in_order(&mesh));
     let traced = scene(mesh).mesh().n_bytes() as u64;
-    let expected = of_vertices_and_materials + n_triangles * TracedMesh::BYTES_PER_COPY;
+    let expected = of_vertices_and_materials + n_triangles * TracedMesh::BYTES_PER_TRIANGLE;
     assert!((expected / 10 * 9..=expected).contains(&traced), "{traced} bytes, not {expected}");
 }

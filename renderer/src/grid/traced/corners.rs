@@ -102,12 +102,7 @@ impl Corners {
     #[inline(always)]
     pub(super) fn prefetch<S: Simd>(&self, triangle_idx: u32) {
         S::prefetch(&self.bytes, 3 * triangle_idx as usize);
-    }
-
-    /// Hints that the windows of triangles from this one on will be read soon.
-    #[inline(always)]
-    pub(super) fn prefetch_windows<S: Simd>(&self, first_triangle_idx: usize) {
-        S::prefetch(&self.window_starts, first_triangle_idx / TRIANGLES_PER_WINDOW);
+        S::prefetch(&self.window_starts, triangle_idx as usize / TRIANGLES_PER_WINDOW);
     }
 
     pub(super) fn n_bytes(&self) -> usize {

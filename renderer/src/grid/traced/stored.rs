@@ -19,7 +19,7 @@ impl TracedMesh {
     ) -> Result<(), Fault> {
         visitor.visit("vertices", &mut self.vertices)?;
         self.corners.visit_sections(visitor)?;
-        visitor.visit("file indices", &mut self.file_indices)?;
+        self.file_indices.visit_sections(visitor)?;
         visitor.visit("colours", &mut self.colors)?;
         visitor.visit("normals", &mut self.normals)?;
         visitor.visit("texture coordinates", &mut self.texture_coordinates)?;
@@ -28,10 +28,11 @@ impl TracedMesh {
 
     pub(in crate::grid) fn check_sizes(&self) -> Result<(), Damage> {
         let n_vertices = self.vertices.len().checked_sub(1).ok_or(Damage::Content("vertices"))?;
-        let n_copies = self.n_copies();
+        let n_triangles = self.n_triangles();
         let is_whole = |n_items: usize| n_items == 0 || n_items == n_vertices;
-        expect(self.n_triangles <= n_copies && n_copies < Hit::CAP as usize, "triangles")?;
-        self.corners.check_sizes(n_copies)?;
+        expect(n_triangles < Hit::CAP as usize, "triangles")?;
+        self.corners.check_sizes(n_triangles)?;
+        self.file_indices.check_sizes()?;
         expect(is_whole(self.colors.len()), "colours")?;
         expect(is_whole(self.normals.len()), "normals")?;
         expect(is_whole(self.texture_coordinates.len()), "texture coordinates")?;
@@ -40,12 +41,13 @@ impl TracedMesh {
             min.is_finite() && max.is_finite() && min.cmple(max).all()
         };
         expect(is_box(&self.bounds) && is_box(&self.bulk_bounds) && self.origin.is_finite(), "bounds")?;
-        self.materials.check(n_copies)
+        self.materials.check(n_triangles)
     }
 
     pub(in crate::grid) fn check_contents(&self) -> Result<(), Damage> {
         let n_vertices = self.vertices.len() - 1;
         self.corners.check_contents(n_vertices)?;
+        self.file_indices.check_contents()?;
         // Bounds hold all vertices, so distances from the grid's corner are bounded too.
         let Aabb { min, max } = self.bounds;
         let is_inside = |[x, y, z]: [f32; 3]| {

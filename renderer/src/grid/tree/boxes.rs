@@ -15,7 +15,7 @@ use crate::{
     grid::{
         cells::CellSpace,
         traced::TracedMesh,
-        tree::{BRICK_SIZE, Tree, TreeNode, hierarchy::Bounds, overlap::child_position},
+        tree::{BRICK_SIZE, Tree, TreeNode, hierarchy::Bounds, items::Items, overlap::child_position},
     },
     scene_file::{fault::Fault, section::Section, sections::SectionVisitor},
     simd::Simd,
@@ -36,10 +36,10 @@ const PADDING: usize = 16;
 /// Triangles of a group: neighbours in space, whose boxes lie side by side.
 pub(crate) const GROUP: usize = 16;
 
-/// The boxes of all triangles, in their order, and of groups of them.
+/// The boxes of all items, in their order, and of groups of them.
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct QuantizedBoxes {
-    /// A leaf's groups follow each other. A group of n triangles from index r on has 6·n bytes from index 6·r on: n least
+    /// A leaf's groups follow each other. A group of n items from number r on has 6·n bytes from index 6·r on: n least
     /// x, n greatest x, then y and z.
     #[serde(skip)]
     bytes: Section<u8>,
@@ -48,7 +48,7 @@ pub(crate) struct QuantizedBoxes {
     group_bytes: Section<u8>,
 }
 
-/// Index of a leaf's first group, if its triangles begin at `start`. No leaf has more groups than lie before the next's.
+/// Index of a leaf's first group, if its items begin at `start`. No leaf has more groups than lie before the next's.
 #[inline(always)]
 fn first_group(leaf: u32, start: usize) -> usize {
     start / GROUP + leaf as usize
@@ -137,10 +137,17 @@ impl LeafCube {
 
 impl QuantizedBoxes {
     /// Measures the triangles of a finished tree, in parallel.
-    pub(crate) fn new(space: &CellSpace, leaf_cubes: &[LeafCube], leaf_starts: &[u32], mesh: &TracedMesh) -> Self {
+    pub(crate) fn new(
+        space: &CellSpace,
+        leaf_cubes: &[LeafCube],
+        leaf_starts: &[u32],
+        items: &Items,
+        mesh: &TracedMesh,
+    ) -> Self {
         const LEAVES_PER_JOB: usize = 1024;
         // Divide the leaves, and the bytes of their boxes, into jobs.
-        let mut bytes = vec![0; 6 * mesh.n_copies() + PADDING];
+        let n_items = leaf_starts.last().map_or(0, |&end| end as usize);
+        let mut bytes = vec![0; 6 * n_items + PADDING];
         let mut jobs = Vec::new();
         let mut rest = &mut *bytes;
         for first in (0..leaf_cubes.len()).step_by(LEAVES_PER_JOB) {
@@ -153,10 +160,10 @@ impl QuantizedBoxes {
         // Measure each leaf's triangles.
         jobs.into_par_iter().for_each(|(leaves, mut bytes)| {
             for leaf in leaves {
-                let triangles = leaf_starts[leaf]..leaf_starts[leaf + 1];
-                let (chunk, others) = bytes.split_at_mut(6 * triangles.len());
+                let of_leaf = leaf_starts[leaf]..leaf_starts[leaf + 1];
+                let (chunk, others) = bytes.split_at_mut(6 * of_leaf.len());
                 bytes = others;
-                measure(space, leaf_cubes[leaf], mesh, triangles, chunk);
+                measure(space, leaf_cubes[leaf], mesh, of_leaf.map(|item| items.triangle(item)), chunk);
             }
         });
         let group_bytes = group_bounds(&bytes, leaf_starts);
@@ -172,15 +179,15 @@ impl QuantizedBoxes {
         visitor.visit("group boxes", &mut self.group_bytes)
     }
 
-    /// Whether these are the boxes of so many leaves and triangles.
-    pub(super) fn are_as_many_as(&self, n_leaves: usize, n_triangles: usize) -> bool {
-        self.bytes.len() == 6 * n_triangles + PADDING
-            && self.group_bytes.len() == 6 * first_group(n_leaves as u32, n_triangles) + PADDING
+    /// Whether these are the boxes of so many leaves and items.
+    pub(super) fn are_as_many_as(&self, n_leaves: usize, n_items: usize) -> bool {
+        self.bytes.len() == 6 * n_items + PADDING
+            && self.group_bytes.len() == 6 * first_group(n_leaves as u32, n_items) + PADDING
     }
 
     /// Bounds of a leaf's triangles within its cube, in finest cells.
-    pub(crate) fn leaf_bounds(&self, leaf: u32, cube: LeafCube, triangles: Range<usize>) -> Bounds {
-        let (first, n) = (6 * first_group(leaf, triangles.start), triangles.len().div_ceil(GROUP));
+    pub(crate) fn leaf_bounds(&self, leaf: u32, cube: LeafCube, items: Range<usize>) -> Bounds {
+        let (first, n) = (6 * first_group(leaf, items.start), items.len().div_ceil(GROUP));
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for group in 0..n {
             let (row_group, n_in_row) = (group / GROUP * GROUP, (n - group / GROUP * GROUP).min(GROUP));
@@ -196,30 +203,30 @@ impl QuantizedBoxes {
     }
 
     #[inline(always)]
-    pub(crate) fn prefetch<S: Simd>(&self, triangles: Range<usize>) {
-        let mut at = 6 * triangles.start;
-        while at < 6 * triangles.end {
+    pub(crate) fn prefetch<S: Simd>(&self, items: Range<usize>) {
+        let mut at = 6 * items.start;
+        while at < 6 * items.end {
             S::prefetch(&self.bytes, at);
             at += 64;
         }
     }
 
-    /// The boxes of a group of `n` triangles from `first` on.
+    /// The boxes of a group of `n` items from `first` on.
     #[inline(always)]
     pub(crate) fn group(&self, first: usize, n: usize) -> GroupBytes<'_> {
         GroupBytes { bytes: &self.bytes[6 * first..6 * (first + n) + PADDING], n }
     }
 
-    /// The boxes of a leaf with these triangles.
+    /// The boxes of a leaf with these items.
     #[inline(always)]
-    pub(crate) fn of_leaf(&self, triangles: Range<usize>) -> BoxBytes<'_> {
-        BoxBytes { bytes: &self.bytes[6 * triangles.start..6 * triangles.end + PADDING], n: triangles.len() }
+    pub(crate) fn of_leaf(&self, items: Range<usize>) -> BoxBytes<'_> {
+        BoxBytes { bytes: &self.bytes[6 * items.start..6 * items.end + PADDING], n: items.len() }
     }
 
-    /// The bounds of the groups of a leaf with these triangles.
+    /// The bounds of the groups of a leaf with these items.
     #[inline(always)]
-    pub(crate) fn of_groups(&self, leaf: u32, triangles: Range<usize>) -> BoxBytes<'_> {
-        let (first, n) = (first_group(leaf, triangles.start), triangles.len().div_ceil(GROUP));
+    pub(crate) fn of_groups(&self, leaf: u32, items: Range<usize>) -> BoxBytes<'_> {
+        let (first, n) = (first_group(leaf, items.start), items.len().div_ceil(GROUP));
         BoxBytes { bytes: &self.group_bytes[6 * first..6 * (first + n) + PADDING], n }
     }
 }
@@ -346,7 +353,13 @@ pub(crate) fn leaf_cubes(dims: [u32; 3], bricks: &[u32], nodes: &[TreeNode], n_l
 }
 
 /// Writes the quantised boxes of a leaf's triangles, rounded outward.
-fn measure(space: &CellSpace, cube: LeafCube, mesh: &TracedMesh, triangles: Range<u32>, bytes: &mut [u8]) {
+fn measure(
+    space: &CellSpace,
+    cube: LeafCube,
+    mesh: &TracedMesh,
+    triangles: impl ExactSizeIterator<Item = u32>,
+    bytes: &mut [u8],
+) {
     const ROUNDING: f64 = 1e-3;
     let steps_per_cell = N_STEPS / f64::from(cube.size());
     let [x, y, z, _] = cube.corner();

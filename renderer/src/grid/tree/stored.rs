@@ -25,14 +25,15 @@ impl Tree {
         visitor.visit("bricks", &mut self.bricks)?;
         visitor.visit("nodes", &mut self.nodes)?;
         visitor.visit("leaves", &mut self.leaf_starts)?;
+        self.items.visit_sections(visitor)?;
         visitor.visit("cubes", &mut self.leaf_cubes)?;
         self.boxes.visit_sections(visitor)?;
         visitor.visit("hierarchy nodes", &mut self.hierarchy.nodes)?;
         visitor.visit("triangle nodes", &mut self.hierarchy.triangle_nodes)
     }
 
-    /// Checks the sizes for a mesh of so many triangles, with their copies.
-    pub(in crate::grid) fn check_sizes(&self, n_copies: usize) -> Result<(), Damage> {
+    /// Checks the sizes for a mesh of so many triangles.
+    pub(in crate::grid) fn check_sizes(&self, n_triangles: usize) -> Result<(), Damage> {
         let n_bricks = self.dims.iter().try_fold(1u64, |n, &along| n.checked_mul(along.into()));
         let fits = |axis: usize| {
             let n = self.dims[axis];
@@ -41,17 +42,19 @@ impl Tree {
         expect(n_bricks == Some(self.bricks.len() as u64) && (0..3).all(fits), "bricks")?;
         let n_leaves = self.leaf_starts.len().checked_sub(1).ok_or(Damage::Content("leaves"))?;
         let (first, end) = (self.leaf_starts[0] as usize, self.leaf_starts[n_leaves] as usize);
-        expect(first == 0 && end == n_copies && n_leaves <= Self::LEAF as usize, "leaves")?;
+        expect(first == 0 && n_leaves <= Self::LEAF as usize, "leaves")?;
+        self.items.check_sizes(end, n_triangles)?;
         expect(self.leaf_cubes.len() == n_leaves, "cubes")?;
         expect(self.boxes.are_as_many_as(n_leaves, end), "boxes")
     }
 
-    pub(in crate::grid) fn check_contents(&self, n_copies: usize) -> Result<(), Damage> {
+    pub(in crate::grid) fn check_contents(&self, n_triangles: usize) -> Result<(), Damage> {
         expect(self.leaf_starts.par_windows(2).all(|starts| starts[0] < starts[1]), "leaves")?;
+        self.items.check_contents(self.n_items(), n_triangles)?;
         expect(self.is_a_tree(), "nodes")?;
         let cubes = leaf_cubes(self.dims, &self.bricks, &self.nodes, self.leaf_cubes.len());
         expect(*self.leaf_cubes == *cubes, "cubes")?;
-        self.hierarchy.check_contents(self.leaf_cubes.len(), n_copies)
+        self.hierarchy.check_contents(self.leaf_cubes.len(), n_triangles)
     }
 
     /// Whether each node and each leaf belongs to one brick or node, which comes before it, and none is too deep.
@@ -81,7 +84,7 @@ impl Tree {
 impl Hierarchy {
     /// Checks that each node and each leaf has one parent, which comes before it, that no way is too long, and that all
     /// triangles exist.
-    fn check_contents(&self, n_leaves: usize, n_copies: usize) -> Result<(), Damage> {
+    fn check_contents(&self, n_leaves: usize, n_triangles: usize) -> Result<(), Damage> {
         let is_over_triangles = !self.triangle_nodes.is_empty();
         let mut nodes = Children::new(self.nodes.len(), hierarchy::LEVELS as u32);
         let n_below = if is_over_triangles { self.triangle_nodes.len() } else { n_leaves };
@@ -107,7 +110,7 @@ impl Hierarchy {
         let are_triangles = |node: &HierarchyNode| {
             (0..CHILDREN).all(|slot| match node.children[slot] {
                 NONE => node.is_empty_at(slot),
-                triangle => (triangle as usize) < n_copies,
+                triangle => (triangle as usize) < n_triangles,
             })
         };
         expect(self.triangle_nodes.par_iter().all(are_triangles), "triangle nodes")

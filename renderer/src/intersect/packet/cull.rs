@@ -11,7 +11,10 @@ use crate::{
     grid::{
         Grid,
         traced::TracedMesh,
-        tree::boxes::{BoxLanes, LeafBoxes},
+        tree::{
+            boxes::{BoxLanes, LeafBoxes},
+            items::Items,
+        },
     },
     intersect::{
         margins::{SLOPE_MARGIN, UNDERFLOW_MARGIN},
@@ -44,11 +47,11 @@ pub(super) struct CullScratch<const N: usize> {
     v: [[f32; 64]; N],
     groups: RayGroups,
     hits: HitScratch<N>,
-    /// Triangles that wait for their test, and room for one more vector.
+    /// Triangles that wait for their test, or items of a tree, and room for one more vector.
     waiting: [u32; N_WAITING + 16],
     /// Their vertices, by corner.
     vertices: [[u32; N_WAITING + 16]; 3],
-    /// The triangle that was last gathered, by file index modulo the size.
+    /// The triangle that was last gathered, by its index modulo the size.
     recent: [u32; N_RECENT],
     pairs: [Pair; 64 * MOST_PACKETS],
 }
@@ -120,9 +123,10 @@ pub(super) struct Culler<'a, const N: usize> {
     waiting: &'a mut [u32; N_WAITING + 16],
     vertices: &'a mut [[u32; N_WAITING + 16]; 3],
     n_waiting: usize,
-    /// Waiting triangles, from the first on, that [`Culler::drop_recently_tested`] has checked.
-    n_deduplicated: usize,
+    /// Those that [`Culler::find_triangles`] has found, from the first on; the others are items.
+    n_triangles: usize,
     recent: &'a mut [u32; N_RECENT],
+    items: &'a Items,
     mesh: &'a TracedMesh,
     pub(super) active: RaySet<N>,
     pub(super) ray_bounds: RayBounds,
@@ -139,6 +143,7 @@ impl<'a, const N: usize> Culler<'a, N> {
     #[inline(always)]
     pub(super) fn new<S: Simd>(
         grid: &'a Grid,
+        items: &'a Items,
         packets: [&'a Packet; N],
         active: RaySet<N>,
         axes: [usize; 3],
@@ -164,8 +169,9 @@ impl<'a, const N: usize> Culler<'a, N> {
             waiting,
             vertices,
             n_waiting: 0,
-            n_deduplicated: 0,
+            n_triangles: 0,
             recent,
+            items,
             mesh,
             active,
             ray_bounds: RayBounds {
@@ -325,14 +331,14 @@ impl<'a, const N: usize> Culler<'a, N> {
         rays.and(candidates)
     }
 
-    /// Adds the triangles of a leaf whose boxes some ray may pass to those that wait. `rays` may pass the leaf.
+    /// Adds the items of a leaf whose boxes some ray may pass to those that wait. `rays` may pass the leaf.
     #[inline(always)]
-    pub(super) fn gather<S: PacketKernel>(&mut self, boxes: &LeafBoxes<'_>, triangles: Range<usize>, rays: &RaySet<N>) {
-        let ray_by_ray = triangles.len() >= RAY_BY_RAY_RATIO * rays.count() as usize;
-        for first in (0..triangles.len()).step_by(S::LANES) {
-            // Make room for a vector of triangles.
+    pub(super) fn gather<S: PacketKernel>(&mut self, boxes: &LeafBoxes<'_>, items: Range<usize>, rays: &RaySet<N>) {
+        let ray_by_ray = items.len() >= RAY_BY_RAY_RATIO * rays.count() as usize;
+        for first in (0..items.len()).step_by(S::LANES) {
+            // Make room for a vector of items.
             if self.n_waiting + S::LANES > N_WAITING {
-                self.drop_recently_tested::<S>();
+                self.find_triangles::<S>();
                 if self.n_waiting + S::LANES > N_WAITING {
                     S::test_waiting(self);
                 }
@@ -341,38 +347,32 @@ impl<'a, const N: usize> Culler<'a, N> {
             // Test the boxes against the bounds of all rays, then against the rays of a sparse packet.
             let bounds = boxes.bounds::<S>(first);
             let missed = bounds.miss_signs(self.ray_bounds.slopes, self.least_inverse_limit).sign_mask();
-            let mut passed = !missed & (u32::MAX >> (32 - (triangles.len() - first).min(S::LANES)));
+            let mut passed = !missed & (u32::MAX >> (32 - (items.len() - first).min(S::LANES)));
             if ray_by_ray && passed != 0 {
                 passed &= self.passed_by_any_ray(&bounds, rays);
             }
-            let indices = S::load_bits(&consecutive((triangles.start + first) as u32));
-            self.n_waiting += indices.compress_bits_to(passed, &mut self.waiting[self.n_waiting..]);
+            let numbers = S::load_bits(&consecutive((items.start + first) as u32));
+            self.n_waiting += numbers.compress_bits_to(passed, &mut self.waiting[self.n_waiting..]);
         }
     }
 
-    /// Hints that the triangles of a leaf will be gathered soon.
-    #[inline(always)]
-    pub(super) fn prefetch_leaf<S: Simd>(&self, triangles: Range<usize>) {
-        self.mesh.prefetch_leaf::<S>(triangles);
-    }
-
-    /// Drops waiting triangles of which a copy was gathered before.
+    /// Replaces the items that wait by their triangles, without those that were gathered before.
     ///
-    /// Without a branch, and for several leaves together: neither new triangles nor their number are predictable.
+    /// For several leaves together, and without a branch on what was gathered: neither new triangles nor their number are
+    /// predictable.
     #[inline(always)]
-    pub(super) fn drop_recently_tested<S: Simd>(&mut self) {
-        let mut n_waiting = self.n_deduplicated;
-        for index in self.n_deduplicated..self.n_waiting {
-            let triangle = self.waiting[index];
+    pub(super) fn find_triangles<S: Simd>(&mut self) {
+        let mut n_waiting = self.n_triangles;
+        for index in self.n_triangles..self.n_waiting {
+            let triangle = self.items.triangle(self.waiting[index]);
             self.mesh.prefetch::<S>(triangle);
-            let file_index = self.mesh.file_index(triangle);
-            let recent = &mut self.recent[(file_index.wrapping_mul(0x9e37_79b9) >> (32 - N_RECENT.ilog2())) as usize];
+            let recent = &mut self.recent[triangle as usize % N_RECENT];
             self.waiting[n_waiting] = triangle;
-            n_waiting += usize::from(*recent != file_index);
-            *recent = file_index;
+            n_waiting += usize::from(*recent != triangle);
+            *recent = triangle;
         }
         self.n_waiting = n_waiting;
-        self.n_deduplicated = n_waiting;
+        self.n_triangles = n_waiting;
     }
 
     /// A bit for each box that at least one of the rays may pass.
@@ -433,7 +433,7 @@ impl<'a, const N: usize> Culler<'a, N> {
         // Find and prefetch all vertices, so that their cache misses overlap.
         let mut prepared = PreparedTriangles::default();
         let n_waiting = std::mem::take(&mut self.n_waiting);
-        self.n_deduplicated = 0;
+        self.n_triangles = 0;
         for index in 0..n_waiting {
             let [a, b, c] = self.mesh.prefetch_vertices::<S>(self.waiting[index]);
             (self.vertices[0][index], self.vertices[1][index], self.vertices[2][index]) = (a, b, c);
