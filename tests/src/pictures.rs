@@ -102,18 +102,17 @@ pub(crate) fn check_twin(gpu: &Gpu, shown: &RgbImage, what: &str, frame: &Frame,
     let size = shown.size;
     let expected = present_cpu::present(frame.size, &frame.rgba, wall, wall.whole_output(), size);
     // The sRGB curve rounds by one step of 8 bits. Graphics cards also round the filter's weights, to 1/256 on either
-    // axis: a step of light that is many steps of 8 bits near black, and comes before that of the curve.
+    // axis, and what they filter: steps of light that are many steps of 8 bits near black. An H100 was off by 3/256.
     // A projector that fades out with a gamma of its own has many values for next to no light.
-    let (least_light, rounding) = if gpu.adapter.get_info().device_type != wgpu::DeviceType::Cpu {
-        (1.0 / 128.0, 1)
+    let least_light = if gpu.adapter.get_info().device_type != wgpu::DeviceType::Cpu {
+        1.0 / 64.0
     } else if (0..wall.projectors().len()).all(|index| wall.is_plain(index)) {
-        (0.0, 0)
+        0.0
     } else {
-        (1.0 / 1000.0, 0)
+        1.0 / 1000.0
     };
     let is_near = |&(shown, expected): &(&u8, &u8)| {
-        let unrounded = if shown < expected { shown + rounding } else { shown - rounding.min(*shown) };
-        shown.abs_diff(*expected) <= 1 || (srgb::decode(unrounded) - srgb::decode(*expected)).abs() < least_light
+        shown.abs_diff(*expected) <= 1 || (srgb::decode(*shown) - srgb::decode(*expected)).abs() < least_light
     };
     if let Some(byte) = std::iter::zip(&shown.rgb, &expected.rgb).position(|pair| !is_near(&pair)) {
         let [x, y] = [byte as u32 / 3 % size[0], byte as u32 / 3 / size[0]];
