@@ -172,9 +172,6 @@ const FAR: f64 = 64.0;
 /// Moves the origin of a model far from zero to its lowest corner, though `f32` holds its vertices: cameras and rays beside
 /// them need finer steps. An axis along which any vertex would be rounded stays as it is.
 fn come_near(mesh: &mut Mesh) {
-    if is_certainly_near(mesh) {
-        return;
-    }
     let [low, high] = mesh.bounds().corners();
     let is_far = low.abs().max(high.abs()).max_element() > FAR * (high - low).max_element();
     if mesh.origin != DVec3::ZERO || !is_far || !low.is_finite() {
@@ -190,20 +187,6 @@ fn come_near(mesh: &mut Mesh) {
             mesh.vertices.iter_mut().for_each(|vertex| vertex[axis] = moved(vertex[axis]) as f32);
         }
     }
-}
-
-/// Whether some of the triangles are so large that no vertex of all is far: much faster than the bounds of all triangles.
-fn is_certainly_near(mesh: &Mesh) -> bool {
-    const ONE_IN: usize = 64;
-    // Magnitudes are in the order of their bits, and what is no number comes last.
-    let largest = mesh.vertices.as_flattened().iter().map(|x| x.abs().to_bits()).max().map_or(0.0, f32::from_bits);
-    let some = mesh.triangles.iter().step_by(ONE_IN).filter(|triangle| **triangle != Mesh::REJECTED).flatten();
-    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    for &index in some {
-        let vertex = Vec3::from_array(mesh.vertices[index as usize]);
-        (low, high) = (low.min(vertex), high.max(vertex));
-    }
-    f64::from(largest) <= FAR * (high.as_dvec3() - low.as_dvec3()).max_element()
 }
 
 /// Checks a number of vertices or triangles: the triangle index `u32::MAX` means a miss, and the one before it a cap.

@@ -35,8 +35,6 @@ pub(super) struct Geometry<'a> {
     of_triangles: Vec<u16>,
     /// How many nodes have each mesh.
     n_uses: HashMap<usize, usize>,
-    /// How many primitives have an accessor's positions.
-    n_position_uses: HashMap<usize, usize>,
     /// Decompressed primitives of meshes that come again.
     decompressed: HashMap<(usize, usize), Result<draco::Geometry, String>>,
     /// Why something was left out, and how often.
@@ -59,12 +57,6 @@ struct Attributes<'a> {
 impl<'a> Geometry<'a> {
     pub(super) fn new(document: &'a Document<'a>, buffers: &'a Buffers<'a>, n_json_bytes: usize) -> Self {
         let n_bytes = (buffers.n_bytes + n_json_bytes) as u64;
-        let mut n_position_uses = HashMap::new();
-        for primitive in document.meshes.iter().flat_map(|mesh| &mesh.primitives) {
-            if let Some(&accessor) = primitive.attributes.get("POSITION") {
-                *n_position_uses.entry(accessor).or_default() += 1;
-            }
-        }
         let mut n_uses = HashMap::new();
         for node in &document.nodes {
             if let Some(mesh) = node.mesh {
@@ -78,7 +70,6 @@ impl<'a> Geometry<'a> {
             look: Look::new(document, buffers),
             of_triangles: Vec::new(),
             n_uses,
-            n_position_uses,
             decompressed: HashMap::new(),
             faults: BTreeMap::new(),
             n_elements: 0,
@@ -156,11 +147,7 @@ impl<'a> Geometry<'a> {
             return Err(Problem::TooManyCopies(self.most_elements));
         }
         let indices = attributes.indices.as_ref().map(Elements::indices);
-        // Positions that one primitive has, once and not more of them than corners, are mostly all used; others do no harm.
-        let is_repeated = self.n_uses.get(&instance.mesh).is_some_and(|&n| n > 1);
-        let is_shared = primitive.attributes.get("POSITION").is_some_and(|of| self.n_position_uses[of] > 1);
-        let are_some = is_repeated || is_shared || n_positions > n_corners;
-        let vertices = UsedVertices::new(indices.as_deref().filter(|_| are_some), n_positions);
+        let vertices = UsedVertices::new(indices.as_deref(), n_positions);
         self.add_vertices(&attributes, &vertices, instance)?;
         self.add_triangles(primitive, indices.as_deref(), n_positions, &vertices, instance)?;
         let material = primitive.material.and_then(|material| self.look.number(material));
