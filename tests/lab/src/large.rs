@@ -143,8 +143,8 @@ impl Need {
         Self { memory: all(MEMORY_BYTES[is_large]), disk: all(MODEL_BYTES + SCENE_BYTES[is_large]), triangles }
     }
 
-    /// What a size needs that is built within a memory budget: what is more lies on the disk, and leaves it as the scene file
-    /// is written.
+    /// The need of a size that is built within a memory budget. The disk holds what takes more, until the scene file is
+    /// written.
     fn within(budget: Option<MemoryBudget>, triangles: u32) -> Self {
         let whole = Self::of(triangles);
         match (budget.map(MemoryBudget::n_bytes), whole.memory) {
@@ -220,7 +220,7 @@ fn measure(files: &Files, budget: Option<MemoryBudget>, triangles: u32) -> Resul
     }
 
     let building = task("building");
-    // What is free changes, and would decide about the grid.
+    // The default budget follows what is free, and would decide about the grid.
     let budget = budget.map_or_else(|| Need::of(triangles).memory.unwrap_or_default().to_string(), |it| it.to_string());
     let mut build = files.renderer()?;
     let built = Watched::run(build.arg("build").args([&files.model, &files.scene]).args(["--memory-budget", &budget]))?;
