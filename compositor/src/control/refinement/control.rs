@@ -40,6 +40,8 @@ pub(super) struct ResolutionControl {
     long_mean_s: f64,
     frames_before_raise: u32,
     was_raised: bool,
+    /// Whether the display, not the farm, lowered the resolution last: room of the farm then tells nothing.
+    is_display_limited: bool,
     /// The fixed part of a frame's time, in seconds.
     fixed_s: f64,
     /// The previous resolution in samples, and the mean time of its frames in seconds.
@@ -61,7 +63,7 @@ impl ResolutionControl {
     pub(super) fn rest(&mut self) {
         self.set_rung(self.rung);
         self.frames_before_raise = FEWEST_FRAMES_BEFORE_RAISE;
-        (self.was_raised, self.previous) = (false, None);
+        (self.was_raised, self.is_display_limited, self.previous) = (false, false, None);
     }
 
     /// The interval to hold, in seconds: the target's, or the display's if that is longer.
@@ -89,7 +91,9 @@ impl ResolutionControl {
         self.learn_fixed(ladder, mean_s, aim_s);
         // The mean of few frames is less certain.
         let is_late = mean_s > aim_s * (1.0 + 1.0 / self.recent_s.len() as f64);
-        if (is_late || self.shown_s(ladder, self.rung) > interval_s) && self.rung < ladder.last() {
+        let is_shown_late = self.shown_s(ladder, self.rung) > interval_s;
+        if (is_late || is_shown_late) && self.rung < ladder.last() {
+            self.is_display_limited = is_shown_late;
             if self.was_raised {
                 self.frames_before_raise = (2 * self.frames_before_raise).min(MOST_FRAMES_BEFORE_RAISE);
             }
@@ -104,7 +108,8 @@ impl ResolutionControl {
             let expected_s = |mean_s| self.expected_s(ladder, mean_s, self.rung - 1);
             let is_due = self.n_frames >= self.frames_before_raise
                 && expected_s(self.long_mean_s.max(mean_s)) <= HEADROOM * aim_s;
-            if is_due || expected_s(mean_s) <= CLEAR_ROOM * aim_s {
+            let is_clear = !self.is_display_limited && expected_s(mean_s) <= CLEAR_ROOM * aim_s;
+            if is_due || is_clear {
                 self.change_rung(ladder, mean_s, self.rung - 1);
             }
         }

@@ -457,6 +457,20 @@ proptest! {
         }
     }
 
+    /// The same where the display sets the pace, and its times differ: how they grow with the resolution is uncertain then.
+    #[test]
+    fn an_unsteady_display_does_not_flicker(
+        speed in -6.0..-3.0f64, waver in 0.0..0.15f64, draw in 1.0..4.0f64, upload in 0.0..4.0f64, random: u64,
+    ) {
+        let per_sample_s = speed.exp2() * INTERVAL_S / f64::from(FrameSize::PAPER.n_samples());
+        let mut wall = Wall { random, ..Wall::new(0.0, per_sample_s, waver) };
+        let native = options().native.n_samples();
+        (wall.display_fixed_s, wall.display_per_sample_s) = (draw * INTERVAL_S, upload * INTERVAL_S / f64::from(native));
+        wall.move_for(160);
+        let n_changes = n_changes(&wall.move_for(4000));
+        prop_assert!(n_changes <= 20, "{n_changes} changes in 4000 frames");
+    }
+
     /// A farm with a steady mean changes the resolution ever more rarely, even if single frames differ much.
     #[test]
     fn unsteady_frames_change_the_resolution_ever_more_rarely(
