@@ -151,6 +151,14 @@ pub(crate) trait Simd: Copy {
     ///
     /// `coordinates` has at least `3 * vertex + 4` numbers for each of the first [`Simd::LANES`] vertices.
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3];
+    /// Gathers x, y and z of the first [`Simd::LANES`] points, which are whole numbers of `n_bits` bits, x in the lowest; points
+    /// lie `stride` bytes apart. Loads are unchecked, as above.
+    ///
+    /// # Safety
+    ///
+    /// `points` has at least `stride * point + 8` bytes for each of the first [`Simd::LANES`] points; three numbers have at most 64
+    /// bits, and each at most 24.
+    unsafe fn gather_packed(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3];
     /// Loads the first [`Simd::LANES`] numbers of a slice as they are, without conversion.
     fn load_bits(from: &[u32]) -> Self;
     /// Moves each lane i to lane i ^ `flip`, which is less than [`Simd::LANES`].
@@ -238,6 +246,15 @@ impl Simd for Portable {
     #[inline(always)]
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
         std::array::from_fn(|axis| Self(std::array::from_fn(|lane| coordinates[3 * vertices[lane] as usize + axis])))
+    }
+    #[inline(always)]
+    unsafe fn gather_packed(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3] {
+        let words: [u64; 8] = std::array::from_fn(|lane| {
+            let bytes = &points[stride * indices[lane] as usize..];
+            u64::from_le_bytes(bytes[..8].try_into().expect("eight bytes"))
+        });
+        let number = |word: u64, axis: u32| (word >> (axis * n_bits)) & ((1 << n_bits) - 1);
+        [0, 1, 2].map(|axis| Self(words.map(|word| number(word, axis) as f32)))
     }
     methods! {
         fn store(self, to: &mut [f32]) -> () = to[..8].copy_from_slice(&self.0);

@@ -216,7 +216,7 @@ mod tests {
     fn render_frame() -> ToServer {
         let camera = Camera::look_at(glam::DVec3::Z, glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 16.0 / 9.0).unwrap();
         let spec = FrameSpec {
-            scene: SceneId::Mesh { blake3: [7; 32], crease: Default::default() },
+            scene: SceneId::Mesh { blake3: [7; 32], treatment: Default::default() },
             camera,
             size: FrameSize::PAPER,
             view: ShadingMode::Shaded,
@@ -317,22 +317,23 @@ mod tests {
             decode::<ToServer>(&bytes[HEADER_BYTES..]).is_ok()
         };
         for (triangles, fits) in [(SceneId::LARGEST_STATUE, true), (SceneId::LARGEST_STATUE + 1, false)] {
-            let scene = SceneId::Statue { triangles, crease: Default::default() };
+            let scene = SceneId::Statue { triangles, treatment: Default::default() };
             assert_eq!(
                 is_message(&ToServer::LoadScene { scene, path: None, structure: None, sky: None }),
                 fits,
                 "{triangles}"
             );
         }
-        // The crease is the byte after the last of the hash.
+        // Crease and precision are the bytes after the last of the hash.
         let mut bytes = vec![];
-        let scene = SceneId::Mesh { blake3: [7; 32], crease: Default::default() };
+        let scene = SceneId::Mesh { blake3: [7; 32], treatment: Default::default() };
         encode(&ToServer::LoadScene { scene, path: None, structure: None, sky: None }, &mut bytes).unwrap();
         let body = &mut bytes[HEADER_BYTES..];
         let crease = body.iter().rposition(|&byte| byte == 7).unwrap() + 1;
-        for (degrees, fits) in [(0, true), (180, true), (181, false)] {
-            body[crease] = degrees;
-            assert_eq!(decode::<ToServer>(body).is_ok(), fits, "{degrees}");
+        for (treatment, fits) in [([0, 0], true), ([180, 8], true), ([0, 21], true), ([181, 0], false), ([0, 7], false)]
+        {
+            body[crease..crease + 2].copy_from_slice(&treatment);
+            assert_eq!(decode::<ToServer>(body).is_ok(), fits, "{treatment:?}");
         }
         assert!(FrameSize::new(38_400, 2160).is_ok() && FrameSize::new(65_536, 4096).is_ok());
         for (xres, yres) in [(65_536, 4097), (65_537, 1), (65_536, 65_536), (u32::MAX, u32::MAX)] {

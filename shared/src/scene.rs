@@ -14,16 +14,30 @@ pub enum SceneId {
         /// Invariant on the wire: at most [`SceneId::LARGEST_STATUE`].
         #[serde(deserialize_with = "statue_triangles")]
         triangles: u32,
-        /// How smooth it is.
-        crease: Crease,
+        /// How its surface is made.
+        treatment: Treatment,
     },
-    /// The BLAKE3 hash of a mesh: its vertices, indices and colours, little endian.
+    /// The BLAKE3 hash of a mesh, as it is in its file: its vertices, indices and colours, little endian.
     Mesh {
         /// The hash.
         blake3: [u8; 32],
-        /// How smooth it is where the file has no normals.
-        crease: Crease,
+        /// How its surface is made.
+        treatment: Treatment,
     },
+}
+
+/// How a scene's surface is made of its model's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Treatment {
+    /// How smooth it is where the model has no normals.
+    pub crease: Crease,
+    /// How exactly it lies where the model's does.
+    pub precision: Precision,
+}
+
+impl Treatment {
+    /// Every triangle is flat, and where it is in the model.
+    pub const FLAT: Self = Self { crease: Crease::FLAT, precision: Precision::EXACT };
 }
 
 /// The largest angle between triangles that one smooth surface may have, in whole degrees; 0 leaves all triangles flat.
@@ -77,14 +91,63 @@ impl fmt::Display for Crease {
     }
 }
 
+/// How exactly a scene keeps positions: as the model has them, or in so many bits for each coordinate.
+///
+/// Invariant: from 8 to 21 bits, or 0 for exact ones.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "u8")]
+pub struct Precision(u8);
+
+impl Precision {
+    /// Positions are those of the model.
+    pub const EXACT: Self = Self(0);
+
+    /// The bits of each coordinate, unless positions are exact.
+    pub fn bits(self) -> Option<u32> {
+        (self != Self::EXACT).then_some(self.0.into())
+    }
+}
+
+/// The number of bits is out of range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("positions are exact, or have from 8 to 21 bits for each coordinate")]
+pub struct PrecisionError;
+
+impl TryFrom<u8> for Precision {
+    type Error = PrecisionError;
+
+    fn try_from(bits: u8) -> Result<Self, PrecisionError> {
+        // With 21 bits, three coordinates fill eight bytes.
+        if matches!(bits, 0 | 8..=21) { Ok(Self(bits)) } else { Err(PrecisionError) }
+    }
+}
+
+impl FromStr for Precision {
+    type Err = PrecisionError;
+
+    fn from_str(text: &str) -> Result<Self, PrecisionError> {
+        match text.parse::<u8>() {
+            Err(_) if text == "exact" => Ok(Self::EXACT),
+            Ok(bits) if bits > 0 => bits.try_into(),
+            _ => Err(PrecisionError),
+        }
+    }
+}
+
+impl fmt::Display for Precision {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if *self == Self::EXACT { f.write_str("exact") } else { self.0.fmt(f) }
+    }
+}
+
 impl SceneId {
     /// The most triangles of a statue that a message can request: some GB of a render server's memory.
     pub const LARGEST_STATUE: u32 = 100_000_000;
 
-    /// How smooth the scene is.
-    pub fn crease(self) -> Crease {
+    /// How the scene's surface is made.
+    pub fn treatment(self) -> Treatment {
         match self {
-            Self::Statue { crease, .. } | Self::Mesh { crease, .. } => crease,
+            Self::Statue { treatment, .. } | Self::Mesh { treatment, .. } => treatment,
         }
     }
 }
@@ -121,5 +184,21 @@ mod tests {
             assert_eq!(text.parse().ok().map(Crease::degrees), degrees, "{text}");
         }
         assert_eq!(Crease::FLAT.to_string().parse(), Ok(Crease::FLAT));
+    }
+
+    #[test]
+    fn positions_are_exact_or_have_from_8_to_21_bits() {
+        for (text, bits) in [
+            ("exact", Some(None)),
+            ("8", Some(Some(8))),
+            ("21", Some(Some(21))),
+            ("7", None),
+            ("22", None),
+            ("0", None),
+        ] {
+            let precision = text.parse::<Precision>().ok();
+            assert_eq!(precision.map(Precision::bits), bits, "{text}");
+            assert!(precision.is_none_or(|precision| precision.to_string() == text));
+        }
     }
 }

@@ -33,7 +33,7 @@ use shared::{
     marks::Marks,
     printable::printable_line,
     protocol::{CHUNK_BYTES, Chunk, Encoding, FrameSpec, LightingMode, SampleRange, ShadingMode, ToServer, ToWall},
-    scene::{Crease, SceneId},
+    scene::{SceneId, Treatment},
 };
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex, split};
 
@@ -385,8 +385,8 @@ fn small_scene() -> Vec<u8> {
     let materials = Materials { materials: vec![material], images: vec![image], of_triangles: Vec::new() };
     let texture_coordinates = mesh.vertices.iter().map(|&[x, y, _]| [x, y]).collect();
     let mesh = Mesh { texture_coordinates, materials, ..mesh };
-    let id = SceneId::Statue { triangles: 1200, crease: Crease::default() };
-    let loaded = LoadedMesh { id, mesh, left_out: Vec::new(), sources: None }.smooth();
+    let id = SceneId::Statue { triangles: 1200, treatment: Treatment::default() };
+    let loaded = LoadedMesh { id, mesh, left_out: Vec::new(), sources: None }.treated();
     let info = loaded.info(true);
     let mut scene = Scene::build(loaded.mesh, &GridOptions::default(), &|_| ());
     scene_file::to_bytes(&mut scene, &info).expect("it has the default storage")

@@ -17,7 +17,7 @@ use serde_json::Value;
 use shared::{
     codec::HEADER_BYTES,
     protocol::{PREAMBLE, ToServer, ToWall},
-    scene::{Crease, SceneId},
+    scene::{SceneId, Treatment},
 };
 use tempfile::TempDir;
 
@@ -274,7 +274,7 @@ fn a_wall_gives_nothing_but_its_scene() {
     let machines = Machines::new();
     let (mut wall, address) = machines.wall(&["--local", "1", "--frames", "1000000"]);
     wall.wait_for("render server local-1 is ready");
-    let other = SceneId::Mesh { blake3: [7; 32], crease: Crease::default() };
+    let other = SceneId::Mesh { blake3: [7; 32], treatment: Treatment::default() };
     let refused = ToServer::Refused { reason: "it shows another model".to_owned() };
     assert_eq!(liars::receive(&mut ask(&address, other)).unwrap(), refused);
 

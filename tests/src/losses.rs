@@ -365,7 +365,7 @@ fn orders_do_not_pile_up_while_a_scene_is_loaded() {
         stream.write_all(&bytes).unwrap();
     };
     let load_scene = |triangles, n_bytes| ToServer::LoadScene {
-        scene: SceneId::Statue { triangles, crease: Default::default() },
+        scene: SceneId::Statue { triangles, treatment: Default::default() },
         path: Some(vec![b'x'; n_bytes]),
         structure: None,
         sky: None,

@@ -22,7 +22,7 @@ use crate::{
 
 fn small_statue() -> RenderGoal {
     let spec = FrameSpec {
-        scene: SceneId::Statue { triangles: 1000, crease: Default::default() },
+        scene: SceneId::Statue { triangles: 1000, treatment: Default::default() },
         camera: Camera::look_at(DVec3::splat(3.0), DVec3::ZERO, DVec3::Y, 0.7, 2.0).unwrap(),
         size: FrameSize::new(64, 32).unwrap(),
         view: ShadingMode::default(),

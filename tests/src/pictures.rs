@@ -387,7 +387,7 @@ fn frame_of((shape, scene): &(Shape, Scene), wall: &Wall, up: UpAxis) -> Frame {
     let camera = Camera::view_all(shape, up, wall.aspect(), CanvasPart::WHOLE);
     let size = wall.frame_size();
     let (view, rays, samples) = (ShadingMode::Shaded, LightingMode::default(), SampleRange::CENTRE);
-    let scene_id = SceneId::Statue { triangles: 0, crease: Default::default() };
+    let scene_id = SceneId::Statue { triangles: 0, treatment: Default::default() };
     let spec = FrameSpec {
         scene: scene_id,
         camera,

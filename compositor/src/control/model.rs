@@ -12,7 +12,7 @@ use renderer::{
 };
 use shared::{
     camera::Shape,
-    scene::{Crease, SceneId},
+    scene::{SceneId, Treatment},
 };
 
 #[derive(Clone, Debug, PartialEq)]
@@ -38,11 +38,11 @@ impl Model {
     /// the window's thread.
     pub(crate) fn load(
         source: SceneSource,
-        crease: Crease,
+        treatment: Treatment,
         store: &SceneStore,
         progress: &(dyn Fn(f32) + Sync),
     ) -> Result<Self, LoadError> {
-        let info = store.describe(&source, crease, progress)?;
+        let info = store.describe(&source, treatment, progress)?;
         info.log(&source);
         let ModelInfo { id, shape, n_triangles, is_solid, found, left_out } = info;
         Ok(Self { source, scene: id, shape, n_triangles, is_solid, found, left_out })

@@ -145,7 +145,7 @@ mod tests {
 
     fn load_scene(triangles: u32) -> ToServer {
         ToServer::LoadScene {
-            scene: SceneId::Statue { triangles, crease: Default::default() },
+            scene: SceneId::Statue { triangles, treatment: Default::default() },
             path: Some(vec![b'x'; 200_000]),
             structure: None,
             sky: None,

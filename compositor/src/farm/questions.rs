@@ -82,14 +82,14 @@ impl<Q: Question> Questions<Q> {
 #[cfg(test)]
 mod tests {
     use glam::DVec3;
-    use shared::{camera::Camera, scene::Crease};
+    use shared::{camera::Camera, scene::Treatment};
 
     use super::*;
 
     const STATUE: SceneId = scene(8);
 
     const fn scene(triangles: u32) -> SceneId {
-        SceneId::Statue { triangles, crease: Crease::FLAT }
+        SceneId::Statue { triangles, treatment: Treatment::FLAT }
     }
 
     fn look(number: u32, scene: SceneId) -> Look {

@@ -167,9 +167,9 @@ impl SceneSupply {
         // The rest of the cores place samples and draw.
         let n_threads = thread::available_parallelism().map_or(1, |n| (usize::from(n) / 2).max(1));
         let report = |done: f32| self.put(scene, Supply::Making(done));
-        let made = threads::pool(Some(n_threads))
-            .map_err(|error| error.to_string())
-            .and_then(|pool| pool.install(|| store.travelling(path, scene.crease(), options, &|_, done| report(done))));
+        let made = threads::pool(Some(n_threads)).map_err(|error| error.to_string()).and_then(|pool| {
+            pool.install(|| store.travelling(path, scene.treatment(), options, &|_, done| report(done)))
+        });
         let supply = match made {
             Ok(file) if file.scene == scene => Supply::Ready(Arc::new(file)),
             Ok(_) => Supply::Failed("its model has changed: open it again on the wall".to_owned(), Instant::now()),

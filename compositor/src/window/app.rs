@@ -111,13 +111,13 @@ impl<'a> App<'a> {
             ..Default::default()
         };
         let store = args.scene.store();
-        let mut loader = ModelLoader::new(waker.clone(), args.show.model.crease, store.clone());
+        let mut loader = ModelLoader::new(waker.clone(), args.show.model.treatment(), store.clone());
         let source = args.show.model.source();
         let picture = PictureControl::new(args, &inputs.wall, inputs.sky);
         let show = inputs.show.map(|show| ShowControl::new(show, source.clone(), picture.look(), now));
         // The first scene of a show takes the place of the model.
         if !plays {
-            if !store.has(&source, args.show.model.crease) {
+            if !store.has(&source, args.show.model.treatment()) {
                 warn_of_large_file(&source, 1 + args.n_local());
             }
             loader.load(source.clone());

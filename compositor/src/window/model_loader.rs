@@ -10,7 +10,7 @@ use std::{
 };
 
 use renderer::{cli::stop::Task, model::scene::SceneSource, scene_file::SceneStore};
-use shared::{printable::printable_line, scene::Crease};
+use shared::{printable::printable_line, scene::Treatment};
 
 use super::waker::{Call, Waker};
 use crate::control::{
@@ -44,7 +44,7 @@ impl Wanted {
 /// Loads the model, or the scene of a show, that was asked for last.
 pub(super) struct ModelLoader {
     waker: Waker,
-    crease: Crease,
+    treatment: Treatment,
     store: SceneStore,
     /// The name of the model that is being loaded, and the progress: the bits of an `f32`, 0 to 1.
     running: Option<(String, Arc<AtomicU32>)>,
@@ -56,10 +56,10 @@ pub(super) struct ModelLoader {
 }
 
 impl ModelLoader {
-    /// For models that are as smooth as `crease` says, with their scene files. Wakes the window on progress, and calls it with
+    /// For models with this treatment, with their scene files. Wakes the window on progress, and calls it with
     /// each [`Loaded`].
-    pub(super) fn new(waker: Waker, crease: Crease, store: SceneStore) -> Self {
-        Self { waker, crease, store, running: None, is_preparing: false, next: None, has_begun: false }
+    pub(super) fn new(waker: Waker, treatment: Treatment, store: SceneStore) -> Self {
+        Self { waker, treatment, store, running: None, is_preparing: false, next: None, has_begun: false }
     }
 
     pub(super) fn load(&mut self, source: SceneSource) {
@@ -97,7 +97,7 @@ impl ModelLoader {
         self.is_preparing = matches!(wanted, Wanted::Scene(..));
         let progress = Arc::new(AtomicU32::new(0));
         self.running = Some((name_of(&source), Arc::clone(&progress)));
-        let (waker, crease, store) = (self.waker.clone(), self.crease, self.store.clone());
+        let (waker, treatment, store) = (self.waker.clone(), self.treatment, self.store.clone());
         if !self.is_preparing {
             tracing::info!("loading {source}");
         }
@@ -114,11 +114,11 @@ impl ModelLoader {
             let call = match wanted {
                 Wanted::Model(source) => Call::Show(caught(|| {
                     let sidecars = SidecarFiles::read(&source);
-                    let model = Model::load(source, crease, &store, &report).map_err(|error| error.to_string())?;
+                    let model = Model::load(source, treatment, &store, &report).map_err(|error| error.to_string())?;
                     Ok(Box::new((model, sidecars)))
                 })),
                 Wanted::Scene(index, scene, default) => {
-                    let read = || Cue::read(&scene, &default, crease, &store, &report).map(Box::new);
+                    let read = || Cue::read(&scene, &default, treatment, &store, &report).map(Box::new);
                     Call::Prepared(index, caught(read))
                 }
             };

@@ -46,7 +46,7 @@ pub fn run(BuildArgs { model, out, threads, scene }: &BuildArgs) -> Result<()> {
         let options = scene.options();
         warn_of_large_file(&source, 1);
         let progress = Progress::new(format!("loading {source}"));
-        let built = store::build_file(&source, model.crease, &options, out, &|stage, done| {
+        let built = store::build_file(&source, model.treatment(), &options, out, &|stage, done| {
             progress.report(stage, &source, done);
         });
         let (info, n_bytes) = built.with_context(|| format!("cannot build {}", out.display()))?;

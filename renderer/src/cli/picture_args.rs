@@ -13,7 +13,7 @@ use shared::{
     detail::Detail,
     division::FrameSize,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
-    scene::{Crease, SceneId},
+    scene::{Crease, Precision, SceneId, Treatment},
 };
 
 use crate::{
@@ -48,7 +48,11 @@ pub struct ModelArgs {
 
     /// Angle between triangles, in degrees, up to which a model without normals is smooth; 0 shows each triangle flat
     #[arg(long, value_name = "DEGREES", default_value_t = Crease::default(), allow_hyphen_values = true)]
-    pub crease: Crease,
+    crease: Crease,
+
+    /// Bits of each coordinate of a position, 8 to 21, for a smaller scene; the log says how far positions are off
+    #[arg(long, value_name = "BITS", default_value_t = Precision::default(), allow_hyphen_values = true)]
+    geometry: Precision,
 }
 
 /// The warning about a picture without anything but its background.
@@ -75,13 +79,18 @@ impl ModelArgs {
         self.path().map_or(statue, |path| SceneSource::File(path.to_owned()))
     }
 
-    /// Loads the model and smooths it, with a progress bar.
+    /// How the model's surface is made.
+    pub fn treatment(&self) -> Treatment {
+        Treatment { crease: self.crease, precision: self.geometry }
+    }
+
+    /// Loads the model and finishes its surface, with a progress bar.
     pub fn load(&self) -> Result<LoadedMesh, LoadError> {
         let source = self.source();
         let progress = Progress::new(format!("loading {source}"));
-        let loaded = scene::load(&source, self.crease, &|done| progress.set(done))?;
+        let loaded = scene::load(&source, self.treatment(), &|done| progress.set(done))?;
         loaded.log(&source);
-        Ok(loaded.smooth())
+        Ok(loaded.treated())
     }
 }
 
@@ -162,11 +171,11 @@ impl PictureArgs {
     pub fn load_scene(&self) -> Result<StoredScene, LoadError> {
         let (source, store, options) = (self.model.source(), self.scene.store(), self.scene.options());
         self.scene.warn_of_scene_file(&source);
-        if !store.has(&source, self.model.crease) {
+        if !store.has(&source, self.model.treatment()) {
             large_file::warn_of_large_file(&source, 1);
         }
         let progress = Progress::new(format!("loading {source}"));
-        let stored = store.load(&source, self.model.crease, &options, &|stage, done| {
+        let stored = store.load(&source, self.model.treatment(), &options, &|stage, done| {
             progress.report(stage, &source, done);
         })?;
         stored.info.log(&source);

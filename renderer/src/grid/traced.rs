@@ -2,6 +2,7 @@
 
 mod corners;
 mod file_indices;
+mod positions;
 mod stored;
 
 use bytemuck::Pod;
@@ -13,6 +14,7 @@ use shared::srgb;
 use crate::{
     intersect::ray::{Hit, Ray},
     model::{
+        lattice::Lattice,
         mesh::{Aabb, Mesh},
         normal::Normal,
         solid::Facing,
@@ -26,16 +28,15 @@ use crate::{
 };
 use corners::Corners;
 use file_indices::FileIndices;
+use positions::Positions;
 
 /// A mesh in the order of a grid's cells, without triangles that cannot be hit.
 ///
 /// A triangle index is a position here; [`TracedMesh::file_index`] is the triangle's number in the file.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct TracedMesh {
-    /// Positions, and one more at the end, see [`TracedMesh::coordinates`].
-    #[serde(skip)]
-    vertices: Section<[f32; 3]>,
-    /// The vertices of each triangle, all within [`TracedMesh::coordinates`].
+    positions: Positions,
+    /// The vertices of each triangle, which all have [`TracedMesh::positions`].
     #[serde(skip)]
     corners: Corners,
     #[serde(skip)]
@@ -73,7 +74,7 @@ impl TracedMesh {
     }
 
     fn vertex_bytes(mesh: &Mesh) -> u64 {
-        let bytes_per_vertex = size_of::<[f32; 3]>()
+        let bytes_per_vertex = Positions::bytes_per_vertex(mesh.lattice.as_ref())
             + usize::from(!mesh.colors.is_empty()) * size_of::<[u8; 3]>()
             + usize::from(!mesh.normals.is_empty()) * size_of::<Normal>()
             + usize::from(!mesh.texture_coordinates.is_empty()) * size_of::<[f32; 2]>();
@@ -83,7 +84,7 @@ impl TracedMesh {
     /// A mesh of these triangles in this order, by their number in `mesh`.
     pub fn new(mesh: Mesh, order: Vec<u32>) -> Self {
         let (bounds, bulk_bounds, facing) = (mesh.bounds(), mesh.bulk().bounds, mesh.facing());
-        let Mesh { vertices, triangles, colors, normals, texture_coordinates, materials, origin, .. } = mesh;
+        let Mesh { vertices, lattice, triangles, colors, normals, texture_coordinates, materials, origin, .. } = mesh;
         let (corners, kept_vertices) = Corners::new(&order, &triangles);
         drop(triangles);
         let materials = TracedMaterials::new(materials, &order);
@@ -91,13 +92,13 @@ impl TracedMesh {
         drop(order);
         let is_textured = materials.has_textures() && !texture_coordinates.is_empty();
         Self {
-            vertices: of_vertices(&vertices, &kept_vertices, 1).into(),
+            positions: Positions::new(&vertices, lattice, &kept_vertices),
             corners,
             file_indices,
-            colors: of_vertices(&colors, &kept_vertices, 0).into(),
-            normals: of_vertices(&normals, &kept_vertices, 0).into(),
+            colors: of_vertices(&colors, &kept_vertices).into(),
+            normals: of_vertices(&normals, &kept_vertices).into(),
             texture_coordinates: if is_textured {
-                of_vertices(&texture_coordinates, &kept_vertices, 0).into()
+                of_vertices(&texture_coordinates, &kept_vertices).into()
             } else {
                 Section::default()
             },
@@ -111,19 +112,27 @@ impl TracedMesh {
 
     /// A mesh whose triangles have the order of their first mention in `references`, which become triangle indices.
     pub(crate) fn in_order_of(mesh: Mesh, references: &mut [u32]) -> Self {
-        let file_indices: Vec<u32> =
-            first_mentions(references, mesh.triangles.len()).map(|nth| references[nth]).collect();
         let mut triangle_indices = vec![u32::MAX; mesh.triangles.len()];
-        for (triangle_idx, &file_index) in file_indices.iter().enumerate() {
-            triangle_indices[file_index as usize] = triangle_idx as u32;
+        let mut order = Vec::with_capacity(mesh.triangles.len());
+        for reference in references {
+            let triangle_idx = &mut triangle_indices[*reference as usize];
+            if *triangle_idx == u32::MAX {
+                *triangle_idx = order.len() as u32;
+                order.push(*reference);
+            }
+            *reference = *triangle_idx;
         }
-        references.par_iter_mut().for_each(|reference| *reference = triangle_indices[*reference as usize]);
-        Self::new(mesh, file_indices)
+        Self::new(mesh, order)
     }
 
     /// Number of triangles.
     pub fn n_triangles(&self) -> usize {
         self.file_indices.len()
+    }
+
+    /// Number of vertices; those that far triangles share count twice.
+    pub fn n_vertices(&self) -> usize {
+        self.positions.len()
     }
 
     /// A triangle's number in the file.
@@ -135,7 +144,7 @@ impl TracedMesh {
     /// A triangle's corners, in model space.
     #[inline]
     pub fn corners(&self, triangle_idx: u32) -> [[f32; 3]; 3] {
-        self.corners.of(triangle_idx).map(|vertex| self.vertices[vertex as usize])
+        self.corners.of(triangle_idx).map(|vertex| self.positions.of(vertex))
     }
 
     /// A vector of any length across a triangle, on the side where its corners run counter-clockwise.
@@ -218,6 +227,11 @@ impl TracedMesh {
         self.bulk_bounds
     }
 
+    /// The farthest that positions may be from those of the model, in its units; 0 if they are the same.
+    pub fn largest_error(&self) -> f64 {
+        self.positions.lattice().map_or(0.0, Lattice::largest_error)
+    }
+
     /// The zero of model space, in world space.
     pub fn origin(&self) -> DVec3 {
         self.origin
@@ -225,7 +239,7 @@ impl TracedMesh {
 
     /// Bytes in memory.
     pub fn n_bytes(&self) -> usize {
-        size_of_val(&*self.vertices)
+        self.positions.n_bytes()
             + self.corners.n_bytes()
             + self.file_indices.n_bytes()
             + size_of_val(&*self.colors)
@@ -244,9 +258,9 @@ impl TracedMesh {
     #[inline(always)]
     pub(crate) fn prefetch_vertices<S: Simd>(&self, triangle_idx: u32) -> [u32; 3] {
         let [a, b, c] = self.corners.of(triangle_idx);
-        S::prefetch(&self.vertices, a as usize);
-        S::prefetch(&self.vertices, b as usize);
-        S::prefetch(&self.vertices, c as usize);
+        self.positions.prefetch::<S>(a);
+        self.positions.prefetch::<S>(b);
+        self.positions.prefetch::<S>(c);
         [a, b, c]
     }
 
@@ -264,10 +278,9 @@ impl TracedMesh {
     ///
     /// The vertices in the first [`Simd::LANES`] lanes are those of triangles of this mesh.
     #[inline(always)]
-    pub(crate) unsafe fn gather_vertices<S: Simd>(&self, [a, b, c]: [&[u32; 16]; 3]) -> [[S; 3]; 3] {
-        let coordinates = self.coordinates();
-        // SAFETY: the caller's, and another vertex follows the last.
-        unsafe { [S::gather_xyz(coordinates, a), S::gather_xyz(coordinates, b), S::gather_xyz(coordinates, c)] }
+    pub(crate) unsafe fn gather_vertices<S: Simd>(&self, vertices: [&[u32; 16]; 3]) -> [[S; 3]; 3] {
+        // SAFETY: the caller's.
+        unsafe { self.positions.gather(vertices) }
     }
 
     /// Gathers the normals of triangles' corners, by corner; the mesh must have normals.
@@ -311,11 +324,6 @@ impl TracedMesh {
         }
         coordinates
     }
-
-    /// Coordinates of all vertices, vertex after vertex, and three more numbers.
-    pub(crate) fn coordinates(&self) -> &[f32] {
-        bytemuck::cast_slice(&self.vertices)
-    }
 }
 
 /// Vertices of an ordered mesh, as they mostly are: those that far triangles share are there twice.
@@ -323,35 +331,35 @@ fn vertices_in_order(mesh: &Mesh) -> u64 {
     mesh.vertices.len() as u64 * 3 / 2
 }
 
-/// Values of the kept vertices, and so many zeros; none where the mesh has none. In parallel: the first write to fresh memory
-/// waits for page faults.
-fn of_vertices<T: Pod + Send + Sync>(values: &[T], kept: &[Vec<u32>], n_zeros: usize) -> Vec<T> {
+/// Values of the kept vertices; none where the mesh has none.
+fn of_vertices<T: Pod + Send + Sync>(values: &[T], kept: &[Vec<u32>]) -> Vec<T> {
     if values.is_empty() {
-        return vec![T::zeroed(); n_zeros];
+        return Vec::new();
     }
-    let mut in_order = vec![T::zeroed(); kept.iter().map(Vec::len).sum::<usize>() + n_zeros];
+    in_order(values, kept, 1, 0, |value, to| to[0] = *value)
+}
+
+/// What is written for the values of the kept vertices, `stride` items for each, and so many more zeros. In parallel: the first
+/// write to fresh memory waits for page faults.
+fn in_order<T: Sync, U: Pod + Send>(
+    values: &[T],
+    kept: &[Vec<u32>],
+    stride: usize,
+    n_zeros: usize,
+    write: impl Fn(&T, &mut [U]) + Sync,
+) -> Vec<U> {
+    let mut in_order = vec![U::zeroed(); kept.iter().map(Vec::len).sum::<usize>() * stride + n_zeros];
     let mut rest = &mut *in_order;
-    let mut copies = Vec::with_capacity(kept.len());
+    let mut parts = Vec::with_capacity(kept.len());
     for of_part in kept {
-        let (part, others) = rest.split_at_mut(of_part.len());
-        copies.push((part, of_part));
+        let (part, others) = rest.split_at_mut(of_part.len() * stride);
+        parts.push((part, of_part));
         rest = others;
     }
-    copies.into_par_iter().for_each(|(part, of_part)| {
-        for (value, &vertex) in part.iter_mut().zip(of_part) {
-            *value = values[vertex as usize];
+    parts.into_par_iter().for_each(|(part, of_part)| {
+        for (item, &vertex) in part.chunks_exact_mut(stride).zip(of_part) {
+            write(&values[vertex as usize], item);
         }
     });
     in_order
-}
-
-/// Positions of each triangle's first mention in a list of numbers below `n_in_file`.
-fn first_mentions(file_indices: &[u32], n_in_file: usize) -> impl Iterator<Item = usize> {
-    let mut is_known = vec![0u64; n_in_file.div_ceil(64)];
-    file_indices.iter().enumerate().filter_map(move |(triangle_idx, &file_index)| {
-        let (word, bit) = (&mut is_known[file_index as usize / 64], 1 << (file_index % 64));
-        let is_first = *word & bit == 0;
-        *word |= bit;
-        is_first.then_some(triangle_idx)
-    })
 }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::camera::UpAxis;
 
-use crate::model::{material::Materials, normal::Normal};
+use crate::model::{lattice::Lattice, material::Materials, normal::Normal};
 
 /// A triangle mesh, in model space: the file's coordinates, which are world space, relative to an origin.
 ///
@@ -19,6 +19,8 @@ use crate::model::{material::Materials, normal::Normal};
 pub struct Mesh {
     /// Positions. Vertices that no accepted triangle uses may hold any value, even NaN.
     pub vertices: Vec<[f32; 3]>,
+    /// The lattice that all usable positions lie on, if they do.
+    pub lattice: Option<Lattice>,
     /// The zero of model space, in world space; finite. It is zero if `f32` holds the file's coordinates as they are.
     pub origin: DVec3,
     /// Vertex indices, polygons fanned in file order.

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use shared::{
     camera::Shape,
     printable::{counted, printable_line},
-    scene::{Crease, SceneId},
+    scene::{SceneId, Treatment},
 };
 
 use crate::{
@@ -17,6 +17,7 @@ use crate::{
         sources::Sources,
     },
     model::{
+        lattice::Lattice,
         material::{Material, Materials, TextureUse},
         mesh::Mesh,
         statue,
@@ -113,10 +114,11 @@ pub enum LoadError {
 }
 
 impl LoadedMesh {
-    /// The same scene with the normals that its id asks for.
+    /// The same scene with the normals and the positions that its id asks for. Normals are those of exact positions.
     #[must_use]
-    pub fn smooth(self) -> Self {
-        Self { mesh: self.mesh.smooth(self.id.crease()), ..self }
+    pub fn treated(self) -> Self {
+        let Treatment { crease, precision } = self.id.treatment();
+        Self { mesh: self.mesh.smooth(crease).snapped(precision), ..self }
     }
 
     /// The facts of the model, which bounds a solid or not.
@@ -145,18 +147,27 @@ impl LoadedMesh {
             let rounding = mesh.largest_rounding();
             format!("traced relative to ({x}, {y}, {z}), rounded by at most {rounding:.1e}")
         });
-        mesh.materials.summary().into_iter().chain(relative).collect()
+        let lattice = Lattice::over(&mesh.bounds(), self.id.treatment().precision);
+        let rounded = lattice.map(|lattice| {
+            let (n_bits, error) = (lattice.n_bits(), lattice.largest_error());
+            format!("positions have {n_bits} bits for each coordinate, and are off by at most {error:.1e}")
+        });
+        mesh.materials.summary().into_iter().chain(relative).chain(rounded).collect()
     }
 }
 
-/// Loads a mesh, for a scene that is as smooth as `crease` says; `progress` receives the fraction done, 0 to 1.
+/// Loads a mesh, for a scene with this treatment; `progress` receives the fraction done, 0 to 1.
 ///
-/// The mesh is that of the source: who renders it must [smooth](LoadedMesh::smooth) it.
-pub fn load(source: &SceneSource, crease: Crease, progress: &(dyn Fn(f32) + Sync)) -> Result<LoadedMesh, LoadError> {
+/// The mesh is that of the source: who renders it must [treat](LoadedMesh::treated) it.
+pub fn load(
+    source: &SceneSource,
+    treatment: Treatment,
+    progress: &(dyn Fn(f32) + Sync),
+) -> Result<LoadedMesh, LoadError> {
     match source {
         &SceneSource::Statue { triangles } => {
             let mesh = statue::generate(triangles, progress);
-            let id = SceneId::Statue { triangles, crease };
+            let id = SceneId::Statue { triangles, treatment };
             Ok(LoadedMesh { id, mesh, left_out: Vec::new(), sources: None })
         }
         SceneSource::File(path) => {
@@ -176,7 +187,7 @@ pub fn load(source: &SceneSource, crease: Crease, progress: &(dyn Fn(f32) + Sync
             if !has_area(&mesh) {
                 return Err(LoadError::NoArea { path, n_triangles: mesh.triangles.len() });
             }
-            Ok(LoadedMesh { id: mesh_id(&mesh, crease), left_out: left_out(&mesh, &remarks), mesh, sources })
+            Ok(LoadedMesh { id: mesh_id(&mesh, treatment), left_out: left_out(&mesh, &remarks), mesh, sources })
         }
     }
 }
@@ -208,7 +219,7 @@ fn left_out(mesh: &Mesh, remarks: &[String]) -> Vec<String> {
 /// BLAKE3 over vertices, triangles and colours: for each its length as `u64`, then its numbers, all little endian; then
 /// over the origin's numbers if it is not zero; then over normals, texture coordinates and materials if there are any, each
 /// after its name.
-pub fn mesh_id(mesh: &Mesh, crease: Crease) -> SceneId {
+pub fn mesh_id(mesh: &Mesh, treatment: Treatment) -> SceneId {
     let mut hasher = blake3::Hasher::new();
     hash(&mut hasher, "", &mesh.vertices);
     hash(&mut hasher, "", &mesh.triangles);
@@ -225,7 +236,7 @@ pub fn mesh_id(mesh: &Mesh, crease: Crease) -> SceneId {
     if mesh.materials != Materials::default() {
         hash_materials(&mut hasher, &mesh.materials);
     }
-    SceneId::Mesh { blake3: *hasher.finalize().as_bytes(), crease }
+    SceneId::Mesh { blake3: *hasher.finalize().as_bytes(), treatment }
 }
 
 fn hash<T: NoUninit>(hasher: &mut blake3::Hasher, name: &str, items: &[T]) {
@@ -279,15 +290,15 @@ mod tests {
         };
         let bytes = [&[1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x80, 0x3f][..], &[0; 8], &[1, 0, 0, 0, 0, 0, 0, 0], &[0; 12]];
         let bytes = [bytes.concat(), vec![1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3]].concat();
-        let id = SceneId::Mesh { blake3: *blake3::hash(&bytes).as_bytes(), crease: Crease::FLAT };
-        assert_eq!(mesh_id(&mesh, Crease::FLAT), id);
+        let id = SceneId::Mesh { blake3: *blake3::hash(&bytes).as_bytes(), treatment: Treatment::FLAT };
+        assert_eq!(mesh_id(&mesh, Treatment::FLAT), id);
     }
 
     #[test]
     fn equal_numbers_in_other_roles_give_another_id() {
         let vertices = Mesh { vertices: vec![[0.0; 3]; 2], ..Mesh::default() };
         let both = Mesh { vertices: vec![[0.0; 3]], triangles: vec![[0; 3]], ..Mesh::default() };
-        let mesh_id = |mesh| mesh_id(mesh, Crease::FLAT);
+        let mesh_id = |mesh| mesh_id(mesh, Treatment::FLAT);
         assert_ne!(mesh_id(&vertices), mesh_id(&both));
         assert_ne!(mesh_id(&both), mesh_id(&Mesh { origin: DVec3::X, ..both.clone() }));
     }
@@ -318,11 +329,11 @@ mod tests {
             mesh
         });
         let ids: Vec<_> =
-            [plain, look.clone()].into_iter().chain(changed).map(|mesh| mesh_id(&mesh, Crease::FLAT)).collect();
+            [plain, look.clone()].into_iter().chain(changed).map(|mesh| mesh_id(&mesh, Treatment::FLAT)).collect();
         assert!(ids.iter().enumerate().all(|(i, id)| !ids[..i].contains(id)), "{ids:?}");
         let mut renamed = look;
         renamed.materials.materials[0].name = "other".to_owned();
-        assert_eq!(mesh_id(&renamed, Crease::FLAT), ids[1]);
+        assert_eq!(mesh_id(&renamed, Treatment::FLAT), ids[1]);
     }
 
     #[test]
@@ -333,17 +344,17 @@ mod tests {
             let header =
                 "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
             std::fs::write(&path, format!("{header}{faces}")).unwrap();
-            load(&SceneSource::File(path.clone()), Crease::FLAT, &|_| ()).unwrap_err().to_string()
+            load(&SceneSource::File(path.clone()), Treatment::FLAT, &|_| ()).unwrap_err().to_string()
         };
         assert!(error("end_header\n0 0 0\n").ends_with("a point cloud must be meshed first"));
         std::fs::write(&path, "solid nothing\nendsolid\n").unwrap();
-        let empty = load(&SceneSource::File(path.clone()), Crease::default(), &|_| ()).unwrap_err().to_string();
+        let empty = load(&SceneSource::File(path.clone()), Treatment::default(), &|_| ()).unwrap_err().to_string();
         assert!(empty.contains("is empty"), "{empty}");
         std::fs::write(&path, "v 0 0 0\nv 1 0 0\nv 3 0 0\nf 1 1 2\nf 1 2 3\n").unwrap();
-        let flat = load(&SceneSource::File(path.clone()), Crease::default(), &|_| ()).unwrap_err().to_string();
+        let flat = load(&SceneSource::File(path.clone()), Treatment::default(), &|_| ()).unwrap_err().to_string();
         assert!(flat.contains("no triangle, of 2, has an area"), "{flat}");
         std::fs::write(&path, "v 0 0 0\nv 1 0 0\nl 1 2\n").unwrap();
-        let lines = load(&SceneSource::File(path.clone()), Crease::default(), &|_| ()).unwrap_err().to_string();
+        let lines = load(&SceneSource::File(path.clone()), Treatment::default(), &|_| ()).unwrap_err().to_string();
         assert!(lines.contains("points, lines and curved surfaces are left out: 1: export it"), "{lines}");
         let face = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 1 2\n";
         assert!(error(face).ends_with("export the model again"), "{}", error(face));
@@ -351,7 +362,7 @@ mod tests {
 
     #[test]
     fn a_missing_model_is_named() {
-        let error = load(&SceneSource::File("no/such.ply".into()), Crease::FLAT, &|_| ()).unwrap_err();
+        let error = load(&SceneSource::File("no/such.ply".into()), Treatment::FLAT, &|_| ()).unwrap_err();
         assert!(error.to_string().starts_with("no/such.ply: cannot be read: "), "{error}");
     }
 }

@@ -65,6 +65,7 @@ impl Scene {
         options: &GridOptions,
         progress: &(dyn Fn(f32) + Sync),
     ) -> Self {
+        let lattice = mesh.lattice;
         let stand_ins = stand_ins(&mesh, least_triangles);
         if stand_ins.is_empty() {
             return Grid::build(mesh, options, progress).into();
@@ -74,7 +75,7 @@ impl Scene {
         let grid = Grid::build_beside(n_bytes, mesh, options, &|done| progress(0.2 + 0.7 * done));
         let n_bytes = n_bytes + grid.mesh().n_bytes() + grid.n_bytes();
         let built = stand_ins.into_iter().map(|StandInMesh { side, mesh }| {
-            let scene = Grid::build_beside(n_bytes, mesh, options, &|_| ()).into();
+            let scene = Grid::build_beside(n_bytes, mesh.snapped_to(lattice), options, &|_| ()).into();
             StandIn { side, scene }
         });
         Self { stand_ins: built.collect(), ..grid.into() }
@@ -270,7 +271,7 @@ mod tests {
             let camera = Camera::look_at(DVec3::new(0.6, 1.5, 4.5), DVec3::Y * 1.6, DVec3::Y, 0.7, 2.0).unwrap();
             let [eye, ll] = [camera.eye(), camera.ll()].map(|point| exact(point) + offset);
             let spec = FrameSpec {
-                scene: SceneId::Statue { triangles: 0, crease: Default::default() },
+                scene: SceneId::Statue { triangles: 0, treatment: Default::default() },
                 camera: Camera::new(eye, ll, camera.u(), camera.v()).unwrap(),
                 size: FrameSize::new(96, 48).unwrap(),
                 view: ShadingMode::Shaded,

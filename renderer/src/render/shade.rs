@@ -231,7 +231,7 @@ mod tests {
 
     fn spec(shading: ShadingMode, appearance: Appearance) -> FrameSpec {
         FrameSpec {
-            scene: SceneId::Statue { triangles: 0, crease: Default::default() },
+            scene: SceneId::Statue { triangles: 0, treatment: Default::default() },
             camera: Camera::look_at(EYE.as_dvec3(), DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap(),
             size: FrameSize::PAPER,
             view: shading,

@@ -269,7 +269,7 @@ mod tests {
 
     fn spec(first: u32, count: u32) -> FrameSpec {
         FrameSpec {
-            scene: SceneId::Statue { triangles: 0, crease: Default::default() },
+            scene: SceneId::Statue { triangles: 0, treatment: Default::default() },
             camera: Camera::look_at(DVec3::new(1.0, 2.0, 5.0), DVec3::ZERO, DVec3::Y, 0.7, 2.0).unwrap(),
             size: FrameSize::new(37, 21).unwrap(),
             view: ShadingMode::Shaded,

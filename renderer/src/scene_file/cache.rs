@@ -13,7 +13,7 @@ use std::{
 
 use shared::{
     codec,
-    scene::{Crease, SceneId},
+    scene::{SceneId, Treatment},
 };
 
 use crate::{
@@ -110,15 +110,15 @@ impl Cache {
     }
 
     /// The path of the scene of a model with these options.
-    pub(crate) fn path(&self, model: &Path, crease: Crease, options: &GridOptions) -> PathBuf {
+    pub(crate) fn path(&self, model: &Path, treatment: Treatment, options: &GridOptions) -> PathBuf {
         // The budget is part of the scene; levels of macrocells lie over other storages alone.
         let options = hash(&codec::to_bytes(&options.density));
-        self.folder.join(format!("{}-{options}.{ENDING}", name(model, crease)))
+        self.folder.join(format!("{}-{options}.{ENDING}", name(model, treatment)))
     }
 
     /// The paths of all scenes of a model, whatever their other options.
-    pub(crate) fn paths(&self, model: &Path, crease: Crease) -> impl Iterator<Item = PathBuf> {
-        let name = name(model, crease);
+    pub(crate) fn paths(&self, model: &Path, treatment: Treatment) -> impl Iterator<Item = PathBuf> {
+        let name = name(model, treatment);
         scenes(&self.folder).filter(move |path| path.to_string_lossy().contains(&name))
     }
 
@@ -279,9 +279,9 @@ fn remove(path: &Path) {
 }
 
 /// The part of a name that a model gives.
-fn name(model: &Path, crease: Crease) -> String {
+fn name(model: &Path, treatment: Treatment) -> String {
     let model = std::path::absolute(model).unwrap_or_else(|_| model.to_owned());
-    hash(&codec::to_bytes(&(model.as_os_str().as_encoded_bytes(), crease)))
+    hash(&codec::to_bytes(&(model.as_os_str().as_encoded_bytes(), treatment)))
 }
 
 fn hash(bytes: &[u8]) -> String {

@@ -2,7 +2,7 @@
 
 use std::{io, path::PathBuf};
 
-use shared::scene::Crease;
+use shared::scene::Treatment;
 
 use crate::scene_file::head::VERSION;
 
@@ -29,8 +29,8 @@ pub enum Fault {
     Version(u32),
     #[error("{0}")]
     Damaged(#[from] Damage),
-    #[error("was built with --crease {of_file}, not {asked}")]
-    OtherCrease { of_file: Crease, asked: Crease },
+    #[error("was built with {}, not {}", options(of_file), options(asked))]
+    OtherTreatment { of_file: Treatment, asked: Treatment },
     #[error("cannot be read: {0}")]
     Io(#[from] io::Error),
 }
@@ -43,10 +43,17 @@ impl Fault {
             Self::ByteOrder => ": build it on this one with `renderer build`",
             Self::Version(_) => ": build it again with `renderer build`",
             Self::Damaged(_) => ": copy the scene file again, or build it again with `renderer build`",
-            Self::OtherCrease { .. } => ": leave --crease out, or build it again with `renderer build`",
+            Self::OtherTreatment { .. } => {
+                ": leave --crease and --geometry out, or build it again with `renderer build`"
+            }
             Self::Io(_) => "",
         }
     }
+}
+
+/// The options that ask for a treatment.
+fn options(treatment: &Treatment) -> String {
+    format!("--crease {} --geometry {}", treatment.crease, treatment.precision)
 }
 
 /// The damage to a scene file.

@@ -6,7 +6,7 @@ use std::{
     thread::{self, JoinHandle},
 };
 
-use shared::{printable::bytes, scene::Crease};
+use shared::{printable::bytes, scene::Treatment};
 
 use crate::{
     formats::sources::{Sources, Stamp},
@@ -101,16 +101,16 @@ impl SceneStore {
     }
 
     /// Whether a model need not be read, as a scene file of it is there.
-    pub fn has(&self, source: &SceneSource, crease: Crease) -> bool {
+    pub fn has(&self, source: &SceneSource, treatment: Treatment) -> bool {
         let SceneSource::File(path) = source else { return false };
-        is_scene_file(path) || self.cached(path, crease).is_some()
+        is_scene_file(path) || self.cached(path, treatment).is_some()
     }
 
     /// The scene file of a model in the cache.
-    fn cached(&self, model: &Path, crease: Crease) -> Option<(PathBuf, SceneFile)> {
+    fn cached(&self, model: &Path, treatment: Treatment) -> Option<(PathBuf, SceneFile)> {
         // Faults are told where the scene is loaded.
         let open = |path: PathBuf| open_cached(&path, model).ok().flatten().map(|file| (path, file));
-        self.cache.as_ref()?.paths(model, crease).find_map(open)
+        self.cache.as_ref()?.paths(model, treatment).find_map(open)
     }
 
     /// The cache, if there is one; else why not, and the cure.
@@ -128,7 +128,7 @@ impl SceneStore {
     pub fn travelling(
         &self,
         model: &Path,
-        crease: Crease,
+        treatment: Treatment,
         options: &GridOptions,
         report: Report<'_>,
     ) -> Result<TravellingFile, String> {
@@ -136,16 +136,16 @@ impl SceneStore {
             TravellingFile::new(file, path).map_err(|error| error.to_string())
         };
         if is_scene_file(model) {
-            return open((None, open_named(model, crease).map_err(|error| error.to_string())?));
+            return open((None, open_named(model, treatment).map_err(|error| error.to_string())?));
         }
-        if let Some((path, file)) = self.cached(model, crease) {
+        if let Some((path, file)) = self.cached(model, treatment) {
             return open((Some(path), file));
         }
         let cache = self.cache()?;
         let options = GridOptions { storage: Storage::Tree, ..*options };
-        let made = self.load_cached(cache, model, crease, &options, Keep::Always, report);
+        let made = self.load_cached(cache, model, treatment, &options, Keep::Always, report);
         made.map_err(|error| error.to_string())?.finish();
-        let file = self.cached(model, crease);
+        let file = self.cached(model, treatment);
         let no_file = || format!("no scene file of {} can be made here: see the wall's log", model.display());
         let (path, file) = file.ok_or_else(no_file)?;
         open((Some(path), file))
@@ -158,19 +158,19 @@ impl SceneStore {
     pub fn describe(
         &self,
         source: &SceneSource,
-        crease: Crease,
+        treatment: Treatment,
         progress: &(dyn Fn(f32) + Sync),
     ) -> Result<ModelInfo, LoadError> {
         if let SceneSource::File(path) = source {
             if is_scene_file(path) {
-                let file = open_named(path, crease)?;
+                let file = open_named(path, treatment)?;
                 return Ok(file.record.info);
             }
-            if let Some((_, file)) = self.cached(path, crease) {
+            if let Some((_, file)) = self.cached(path, treatment) {
                 return Ok(file.record.info);
             }
         }
-        scene::load(source, crease, progress).map(|loaded| loaded.info(loaded.mesh.facing().is_some()))
+        scene::load(source, treatment, progress).map(|loaded| loaded.info(loaded.mesh.facing().is_some()))
     }
 
     /// Loads a scene on the current rayon pool.
@@ -180,21 +180,21 @@ impl SceneStore {
     pub fn load(
         &self,
         source: &SceneSource,
-        crease: Crease,
+        treatment: Treatment,
         options: &GridOptions,
         report: Report<'_>,
     ) -> Result<StoredScene, LoadError> {
         if let SceneSource::File(path) = source {
             if is_scene_file(path) {
                 let progress = |done| report(Stage::Checking, done);
-                let scene = self.take(open_named(path, crease)?, path, None, &progress);
+                let scene = self.take(open_named(path, treatment)?, path, None, &progress);
                 return Ok(scene.map_err(|fault| error_of(path, fault))?);
             }
             if let Some(cache) = self.cache.as_ref().filter(|_| options.storage == Storage::Tree) {
-                return self.load_cached(cache, path, crease, options, Keep::IfWorthwhile, report);
+                return self.load_cached(cache, path, treatment, options, Keep::IfWorthwhile, report);
             }
         }
-        let built = build(source, crease, options, &std::env::temp_dir(), report)?;
+        let built = build(source, treatment, options, &std::env::temp_dir(), report)?;
         if let (Some(fault), SceneSource::File(_)) = (&self.fault, source)
             && is_worthwhile(&built.scene)
         {
@@ -207,12 +207,12 @@ impl SceneStore {
         &self,
         cache: &Cache,
         model: &Path,
-        crease: Crease,
+        treatment: Treatment,
         options: &GridOptions,
         keep: Keep,
         report: Report<'_>,
     ) -> Result<StoredScene, LoadError> {
-        let path = cache.path(model, crease, options);
+        let path = cache.path(model, treatment, options);
         let before = Stamp::at(&path);
         let find = || {
             let tell = |fault: &Fault| tell_of_rebuild(&path, model, fault);
@@ -241,7 +241,7 @@ impl SceneStore {
             lock.iter().for_each(|lock| lock.tell(done));
             report(stage, done);
         };
-        let built = build(&SceneSource::File(model.to_owned()), crease, options, cache.folder(), &report)?;
+        let built = build(&SceneSource::File(model.to_owned()), treatment, options, cache.folder(), &report)?;
         if lock.is_none() || keep == Keep::IfWorthwhile && !is_worthwhile(&built.scene) {
             return Ok(built.into());
         }
@@ -334,13 +334,13 @@ impl SceneStore {
 /// The model cannot be read, or the file cannot be written.
 pub fn build_file(
     source: &SceneSource,
-    crease: Crease,
+    treatment: Treatment,
     options: &GridOptions,
     out: &Path,
     report: Report<'_>,
 ) -> anyhow::Result<(ModelInfo, u64)> {
     let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let Built { info, scene, budget, _spill, .. } = build(source, crease, options, folder, report)?;
+    let Built { info, scene, budget, _spill, .. } = build(source, treatment, options, folder, report)?;
     let new = file::begin(out)?;
     let progress = |done: f32| report(Stage::Writing, 0.9 + 0.1 * done);
     file::write_last(new.file(), scene, &info, (None, budget), &progress)?;
@@ -369,7 +369,7 @@ impl From<Built> for StoredScene {
 /// Builds a scene; one that takes more than the memory budget in temporary files in a folder.
 fn build(
     source: &SceneSource,
-    crease: Crease,
+    treatment: Treatment,
     options: &GridOptions,
     temporary: &Path,
     report: Report<'_>,
@@ -379,9 +379,9 @@ fn build(
     let spill = is_tree.then(|| spill(source, options.memory_budget, temporary)).flatten();
     let budget = if spill.is_some() { *MemoryBudget::RANGE.end() } else { options.memory_budget };
     let options = GridOptions { memory_budget: budget, ..*options };
-    let loaded = scene::load(source, crease, &|done| report(Stage::Loading, 0.5 * done))?;
+    let loaded = scene::load(source, treatment, &|done| report(Stage::Loading, 0.5 * done))?;
     let (mut info, sources) = (loaded.info(false), loaded.sources.clone());
-    let scene = Scene::build(loaded.smooth().mesh, &options, &|done| report(Stage::Building, 0.5 + 0.4 * done));
+    let scene = Scene::build(loaded.treated().mesh, &options, &|done| report(Stage::Building, 0.5 + 0.4 * done));
     info.is_solid = scene.mesh().facing().is_some();
     Ok(Built { info, sources, scene, budget, _spill: spill })
 }
@@ -411,12 +411,15 @@ fn is_worthwhile(scene: &Scene) -> bool {
     scene.n_bytes() >= WORTHWHILE_BYTES && scene.grid.is_storable()
 }
 
-/// A scene file that an operator has named. It keeps its own crease and grid.
-fn open_named(path: &Path, crease: Crease) -> Result<SceneFile, SceneFileError> {
+/// A scene file that an operator has named. It keeps its own treatment and grid.
+fn open_named(path: &Path, treatment: Treatment) -> Result<SceneFile, SceneFileError> {
     let file = SceneFile::open(path).map_err(|fault| error_of(path, fault))?;
-    let of_file = file.record.info.id.crease();
-    if crease != of_file && crease != Crease::default() {
-        return Err(error_of(path, Fault::OtherCrease { of_file, asked: crease }));
+    let of_file = file.record.info.id.treatment();
+    let default = Treatment::default();
+    let keeps_crease = [of_file.crease, default.crease].contains(&treatment.crease);
+    let keeps_precision = [of_file.precision, default.precision].contains(&treatment.precision);
+    if !(keeps_crease && keeps_precision) {
+        return Err(error_of(path, Fault::OtherTreatment { of_file, asked: treatment }));
     }
     Ok(file)
 }

@@ -14,7 +14,7 @@ use shared::{
     detail::Detail,
     division::FrameSize,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
-    scene::{Crease, SceneId},
+    scene::{Crease, SceneId, Treatment},
 };
 
 use super::{
@@ -64,7 +64,7 @@ fn looks() -> Mesh {
 
 /// A scene of a mesh, which never was in a file.
 fn scene_of(mesh: Mesh, options: &GridOptions) -> (ModelInfo, Scene) {
-    let id = SceneId::Statue { triangles: 20_000, crease: Crease::default() };
+    let id = SceneId::Statue { triangles: 20_000, treatment: Treatment::default() };
     let info = LoadedMesh { id, mesh: mesh.clone(), left_out: vec!["a line".into()], sources: None }.info(true);
     (info, Scene::build(mesh, options, &|_| ()))
 }
@@ -89,6 +89,7 @@ fn a_scene_from_a_file_gives_the_same_bits() {
     for (mesh, options) in [
         (looks(), GridOptions::default()),
         (statue::generate(3000, &|_| ()), GridOptions { density: Some(0.5), ..GridOptions::default() }),
+        (looks().snapped(14.try_into().unwrap()), GridOptions::default()),
         // Its hierarchy lies over leaves.
         (statue::generate(60_000, &|_| ()), few),
     ] {
@@ -139,11 +140,14 @@ fn trace(scene: &Scene, info: &ModelInfo) {
 
 #[test]
 fn changed_contents_with_right_hashes_are_refused_or_harmless() {
-    let (info, mut scene) = scene_of(looks(), &GridOptions::default());
-    let bytes = file::to_bytes(&mut scene, &info).unwrap();
+    let files = [looks(), looks().snapped(12.try_into().unwrap())].map(|mesh| {
+        let (info, mut scene) = scene_of(mesh, &GridOptions::default());
+        file::to_bytes(&mut scene, &info).unwrap()
+    });
     let (mut n_refused, mut n_harmless) = (0, 0);
     let mut state = 1u64;
-    for _ in 0..300 {
+    for nth in 0..300 {
+        let bytes = &files[nth % 2];
         let mut changed = bytes.clone();
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let at = (state >> 20) as usize % bytes.len();
@@ -180,7 +184,7 @@ fn no_index_leads_out_of_its_array_and_no_way_goes_round() {
     for options in [budget("1G"), budget("16M")] {
         let (info, mut scene) = scene_of(statue::generate(60_000, &|_| ()), &options);
         let bytes = file::to_bytes(&mut scene, &info).unwrap();
-        let n_vertices = scene.mesh().coordinates().len() as u32 / 3 - 1;
+        let n_vertices = scene.mesh().n_vertices() as u32;
         let out = [u32::MAX - 1, u32::MAX >> 1, 1 << 30, scene.n_triangles() as u32 + 1];
         // The last vertex is there to be loaded, not to be used.
         let mut cases = vec![("windows", n_vertices), ("vertices", f32::NAN.to_bits()), ("leaves", 1)];
@@ -210,7 +214,7 @@ fn load(store: &SceneStore, path: &Path, options: &GridOptions) -> (StoredScene,
         assert!((0.0..=1.0).contains(&done), "{stage} {done}");
         stages.lock().unwrap().push(stage);
     };
-    let scene = store.load(&SceneSource::File(path.to_owned()), Crease::default(), options, &report).unwrap();
+    let scene = store.load(&SceneSource::File(path.to_owned()), Treatment::default(), options, &report).unwrap();
     let mut stages = stages.into_inner().unwrap();
     stages.dedup();
     (scene, stages)
@@ -222,7 +226,7 @@ fn a_model_is_built_once_and_checked_never() {
     let (path, store) = model(folder.path(), 150_000);
     let options = GridOptions::default();
     let source = SceneSource::File(path.clone());
-    assert!(!store.has(&source, Crease::default()));
+    assert!(!store.has(&source, Treatment::default()));
     let (first, stages) = load(&store, &path, &options);
     assert!(first.is_mapped && stages.contains(&Stage::Building) && stages.contains(&Stage::Writing));
     let (info, bits) = (first.info.clone(), picture(&first.scene, &first.info));
@@ -230,14 +234,14 @@ fn a_model_is_built_once_and_checked_never() {
     let (second, stages) = load(&store, &path, &options);
     assert!(second.is_mapped && stages.is_empty(), "{stages:?}");
     assert!(second.info == info && picture(&second.scene, &info) == bits);
-    assert!(store.has(&source, Crease::default()));
-    assert_eq!(store.describe(&source, Crease::default(), &|_| panic!("it is read")).unwrap(), info);
+    assert!(store.has(&source, Treatment::default()));
+    assert_eq!(store.describe(&source, Treatment::default(), &|_| panic!("it is read")).unwrap(), info);
     let owned = load(&SceneStore::default(), &path, &options).0;
     assert!(!owned.is_mapped && owned.info == info && picture(&owned.scene, &info) == bits);
 
     // Other options are another scene; another budget is not, as this one was enough.
-    let crease = Crease::try_from(10).unwrap();
-    assert!(!store.has(&source, crease));
+    let treatment = Treatment { crease: Crease::try_from(10).unwrap(), ..Treatment::default() };
+    assert!(!store.has(&source, treatment));
     let dense = GridOptions { density: Some(4.0), ..options };
     assert!(load(&store, &path, &dense).1.contains(&Stage::Building));
     let more = GridOptions { memory_budget: "9G".parse().unwrap(), ..options };
@@ -247,7 +251,7 @@ fn a_model_is_built_once_and_checked_never() {
     let time = fs::metadata(&path).unwrap().modified().unwrap();
     ply::write(&path, &statue::generate(160_000, &|_| ())).unwrap();
     fs::File::options().write(true).open(&path).unwrap().set_modified(time).unwrap();
-    assert!(!store.has(&source, Crease::default()));
+    assert!(!store.has(&source, Treatment::default()));
     thread::sleep(Duration::from_millis(50));
     let (changed, stages) = load(&store, &path, &options);
     assert!(stages.contains(&Stage::Building) && changed.info.id != info.id);
@@ -340,7 +344,7 @@ fn the_cache_has_a_limit_and_keeps_what_was_used_last() {
     let small = SceneStore::new(Some(cache.clone()));
     let use_at = |path: &Path, seconds| {
         load(&small, path, &GridOptions::default()).0.finish();
-        let lock = Cache::lock_of(&cache.path(path, Crease::default(), &GridOptions::default()));
+        let lock = Cache::lock_of(&cache.path(path, Treatment::default(), &GridOptions::default()));
         let time = SystemTime::UNIX_EPOCH + Duration::from_secs(seconds);
         fs::File::options().write(true).open(lock).unwrap().set_modified(time).unwrap();
     };
@@ -357,7 +361,7 @@ fn the_cache_has_a_limit_and_keeps_what_was_used_last() {
     // A scene that is larger than the cache is not kept, and replaces nothing.
     let tiny = SceneStore::new(Some(Cache::at(folder.path().join("tiny"), n_bytes / 2).unwrap()));
     let (scene, _) = load(&tiny, &first, &GridOptions::default());
-    assert!(!scene.is_mapped && !tiny.has(&SceneSource::File(first.clone()), Crease::default()));
+    assert!(!scene.is_mapped && !tiny.has(&SceneSource::File(first.clone()), Treatment::default()));
     drop(store);
 }
 
@@ -369,35 +373,36 @@ fn a_scene_file_takes_the_place_of_its_model() {
     let file = folder.path().join("scene.bin");
     let source = SceneSource::File(file.clone());
     let options = GridOptions::default();
-    let crease = Crease::try_from(25).unwrap();
-    let (info, n_bytes) = build_file(&SceneSource::File(path.clone()), crease, &options, &file, &|_, _| ()).unwrap();
+    let treatment = Treatment { crease: 25.try_into().unwrap(), precision: 14.try_into().unwrap() };
+    let (info, n_bytes) = build_file(&SceneSource::File(path.clone()), treatment, &options, &file, &|_, _| ()).unwrap();
     assert_eq!(fs::metadata(&file).unwrap().len(), n_bytes);
     assert!(SceneFile::open(&file).unwrap().record.sources.is_none(), "it says where it was built");
     fs::remove_file(&path).unwrap();
     for (store, is_mapped) in [(&store, true), (&SceneStore::default(), false)] {
-        assert!(store.has(&source, crease));
-        assert_eq!(store.describe(&source, Crease::default(), &|_| ()).unwrap(), info);
+        assert!(store.has(&source, treatment));
+        assert_eq!(store.describe(&source, Treatment::default(), &|_| ()).unwrap(), info);
         let (scene, stages) = load(store, &file, &options);
         assert!(scene.is_mapped == is_mapped && scene.info == info && stages == [Stage::Checking]);
         scene.finish();
     }
     assert!(load(&store, &file, &options).1.is_empty(), "its seal is in the cache");
-    let told = |path: &Path, crease| {
-        let error = store.load(&SceneSource::File(path.to_owned()), crease, &options, &|_, _| ()).err().unwrap();
+    let told = |path: &Path, treatment| {
+        let error = store.load(&SceneSource::File(path.to_owned()), treatment, &options, &|_, _| ()).err().unwrap();
         assert!(
             store
-                .describe(&SceneSource::File(path.to_owned()), crease, &|_| ())
+                .describe(&SceneSource::File(path.to_owned()), treatment, &|_| ())
                 .is_err_and(|it| it.to_string() == error.to_string())
         );
         error.to_string()
     };
-    assert!(told(&file, Crease::FLAT).ends_with(
-        "scene.bin: was built with --crease 25, not 0: leave --crease out, or build it again with `renderer build`"
+    assert!(told(&file, Treatment::FLAT).ends_with(
+        "scene.bin: was built with --crease 25 --geometry 14, not --crease 0 --geometry exact: leave --crease and --geometry out, \
+         or build it again with `renderer build`"
     ));
     let cut = folder.path().join("cut.raywall");
     fs::write(&cut, &fs::read(&file).unwrap()[..9000]).unwrap();
-    assert!(told(&cut, crease).contains("cut.raywall: it has 9000 bytes in place of"), "{}", told(&cut, crease));
-    assert!(told(&cut, crease).ends_with(": copy the scene file again, or build it again with `renderer build`"));
+    assert!(told(&cut, treatment).contains("cut.raywall: it has 9000 bytes in place of"), "{}", told(&cut, treatment));
+    assert!(told(&cut, treatment).ends_with(": copy the scene file again, or build it again with `renderer build`"));
     // In the cache, that is not the user's to do.
     assert!(!SceneFile::open(&cut).err().unwrap().to_string().contains("again"));
 }
@@ -470,7 +475,7 @@ fn a_scene_file_on_another_disk_than_the_cache_is_read_and_never_sealed() {
     let (path, store) = model(folder.path(), 20_000);
     let file = other.path().join("scene.raywall");
     let options = GridOptions::default();
-    build_file(&SceneSource::File(path), Crease::default(), &options, &file, &|_, _| ()).unwrap();
+    build_file(&SceneSource::File(path), Treatment::default(), &options, &file, &|_, _| ()).unwrap();
     for _ in 0..2 {
         let (scene, stages) = load(&store, &file, &options);
         assert!(!scene.is_mapped && stages == [Stage::Checking], "it is checked at each start");
@@ -489,7 +494,7 @@ fn what_others_may_write_is_read_and_where_they_may_write_is_no_cache() {
     let folder = tempfile::tempdir().unwrap();
     let (path, store) = model(folder.path(), 20_000);
     let file = folder.path().join("scene.raywall");
-    build_file(&SceneSource::File(path), Crease::default(), &GridOptions::default(), &file, &|_, _| ()).unwrap();
+    build_file(&SceneSource::File(path), Treatment::default(), &GridOptions::default(), &file, &|_, _| ()).unwrap();
     let set_mode = |path: &Path, mode| fs::set_permissions(path, fs::Permissions::from_mode(mode)).unwrap();
     assert!(load(&store, &file, &GridOptions::default()).0.is_mapped);
     set_mode(&file, 0o664);

@@ -79,7 +79,7 @@ pub(crate) fn path_from_bytes(bytes: Vec<u8>) -> PathBuf {
 
 #[cfg(test)]
 mod tests {
-    use shared::scene::Crease;
+    use shared::scene::Treatment;
 
     use super::*;
 
@@ -87,7 +87,7 @@ mod tests {
     fn the_last_request_of_a_kind_counts_and_the_scene_to_render_comes_first() {
         let requests = LatestRequests::default();
         let statue = |triangles| {
-            let scene = SceneId::Statue { triangles, crease: Crease::FLAT };
+            let scene = SceneId::Statue { triangles, treatment: Treatment::FLAT };
             LoadRequest { scene, path: None, structure: None, sky: None }
         };
         requests.put(Request::Prepare(statue(8)));

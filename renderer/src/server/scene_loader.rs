@@ -12,7 +12,7 @@ use rayon::ThreadPool;
 use shared::{
     printable::{bytes, counted},
     protocol::{SceneState, SkyFile},
-    scene::{Crease, SceneId},
+    scene::{SceneId, Treatment},
     sky::SkyId,
     structure::Structure,
 };
@@ -240,7 +240,7 @@ impl LoaderThread {
     fn run(mut self, requests: &LatestRequests) {
         let mut last_reason = String::new();
         if let Some(model) = self.model.clone()
-            && let Err(reason) = self.load(None, Crease::default(), &SceneSource::File(model), None)
+            && let Err(reason) = self.load(None, Treatment::default(), &SceneSource::File(model), None)
         {
             // Carry on: the wall may ask for a scene that needs no file.
             tracing::error!("{reason}");
@@ -423,7 +423,7 @@ impl LoaderThread {
         let lock = lock.map_err(|error| format!("{}: {error}", cache.folder().display()))?;
         for is_first in [true, false] {
             if place.exists() {
-                match self.load(Some(scene), scene.crease(), &source, sky.cloned()) {
+                match self.load(Some(scene), scene.treatment(), &source, sky.cloned()) {
                     Ok((id, scene_of_file, _)) if id == scene => {
                         Cache::touch(&place);
                         return Ok(scene_of_file);
@@ -478,7 +478,7 @@ impl LoaderThread {
                 None => format!("it has no {ordered}: start it with --model FILE, the file that the wall shows"),
             });
         };
-        match self.load(Some(ordered), ordered.crease(), &source, sky) {
+        match self.load(Some(ordered), ordered.treatment(), &source, sky) {
             Ok((id, scene, _)) if id == ordered => Ok(scene),
             Ok((id, _, left_out)) => {
                 let cure = format!("{source} is {id}, the wall shows {ordered}: give it the wall's own file");
@@ -498,7 +498,7 @@ impl LoaderThread {
     fn load(
         &mut self,
         ordered: Option<SceneId>,
-        crease: Crease,
+        treatment: Treatment,
         source: &SceneSource,
         sky: Option<Arc<SkyMap>>,
     ) -> Result<(SceneId, Arc<Scene>, Vec<String>), String> {
@@ -510,7 +510,7 @@ impl LoaderThread {
         };
         self.current.set(None);
         tracing::info!("loading {source}");
-        if self.told == Told::Everything && !self.store.has(source, crease) {
+        if self.told == Told::Everything && !self.store.has(source, treatment) {
             warn_of_large_file(source, 1);
         }
         let bar = Progress::new(format!("loading {source}"));
@@ -518,7 +518,7 @@ impl LoaderThread {
             bar.report(stage, source, fraction);
             report_progress(fraction);
         };
-        let loaded = self.pool.install(|| self.store.load(source, crease, &self.effective_options(), &report));
+        let loaded = self.pool.install(|| self.store.load(source, treatment, &self.effective_options(), &report));
         let StoredScene { info, scene, is_mapped, .. } = loaded.map_err(|error| error.to_string())?;
         let (id, scene) = (info.id, Arc::new(scene.with_sky(sky)));
         if self.told == Told::Everything && self.told_of != Some(id) {

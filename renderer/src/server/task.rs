@@ -258,7 +258,7 @@ mod tests {
         detail::Detail,
         division::{Division, FrameSize},
         protocol::{LightingMode, SampleRange, ShadingMode},
-        scene::{Crease, SceneId},
+        scene::{SceneId, Treatment},
     };
     use strum::VariantArray;
 
@@ -277,7 +277,7 @@ mod tests {
                 frame: FrameId(1),
                 task_id: TaskId(1),
                 spec: FrameSpec {
-                    scene: SceneId::Statue { triangles: 2000, crease: Crease::FLAT },
+                    scene: SceneId::Statue { triangles: 2000, treatment: Treatment::FLAT },
                     camera,
                     size,
                     view: ShadingMode::Shaded,

@@ -65,6 +65,19 @@ unsafe fn vertex(coordinates: &[f32], vertex: u32) -> __m128 {
     unsafe { _mm_loadu_ps(coordinates.as_ptr().add(first)) }
 }
 
+/// The eight bytes from a point's first.
+///
+/// # Safety
+///
+/// `points` has them.
+#[inline(always)]
+unsafe fn packed(points: &[u8], stride: usize, point: u32) -> i64 {
+    let first = stride * point as usize;
+    debug_assert!(first + 8 <= points.len(), "no point {point} in {} bytes", points.len());
+    // SAFETY: the caller's.
+    unsafe { points.as_ptr().add(first).cast::<i64>().read_unaligned() }
+}
+
 impl Simd for Avx2 {
     const LANES: usize = 8;
     type Double = Avx2Double;
@@ -91,6 +104,30 @@ impl Simd for Avx2 {
                 Self(_mm256_shuffle_ps::<0xee>(xy_ab, xy_cd)),
                 Self(_mm256_shuffle_ps::<0x44>(zw_ab, zw_cd)),
             ]
+        }
+    }
+    #[inline(always)]
+    unsafe fn gather_packed(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3] {
+        // SAFETY: as above, and the caller's: all points are there.
+        unsafe {
+            let words = |first: usize| {
+                let word = |lane: usize| packed(points, stride, indices[first + lane]);
+                _mm256_setr_epi64x(word(0), word(1), word(2), word(3))
+            };
+            let words = [words(0), words(4)];
+            let mask = _mm256_set1_epi64x((1 << n_bits) - 1);
+            [0, 1, 2].map(|axis| {
+                let shift = _mm_cvtsi32_si128((axis * n_bits) as i32);
+                let [low, high] = words.map(|words| {
+                    let numbers = _mm256_and_si256(_mm256_srl_epi64(words, shift), mask);
+                    // The lower halves of all lanes, in order, in the lower half of the register.
+                    _mm256_castsi256_si128(_mm256_permutevar8x32_epi32(
+                        numbers,
+                        _mm256_setr_epi32(0, 2, 4, 6, 0, 2, 4, 6),
+                    ))
+                });
+                Self(_mm256_cvtepi32_ps(_mm256_set_m128i(high, low)))
+            })
         }
     }
     intrinsics! {
@@ -196,6 +233,24 @@ impl Simd for Avx512 {
                 Self(_mm512_shuffle_ps::<0xee>(xy_ab, xy_cd)),
                 Self(_mm512_shuffle_ps::<0x44>(zw_ab, zw_cd)),
             ]
+        }
+    }
+    #[inline(always)]
+    unsafe fn gather_packed(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3] {
+        // SAFETY: as above, and the caller's: all points are there.
+        unsafe {
+            let words = |first: usize| {
+                let word = |lane: usize| packed(points, stride, indices[first + lane]);
+                _mm512_setr_epi64(word(0), word(1), word(2), word(3), word(4), word(5), word(6), word(7))
+            };
+            let words = [words(0), words(8)];
+            let mask = _mm512_set1_epi64((1 << n_bits) - 1);
+            [0, 1, 2].map(|axis| {
+                let shift = _mm_cvtsi32_si128((axis * n_bits) as i32);
+                let [low, high] =
+                    words.map(|words| _mm512_cvtepi64_epi32(_mm512_and_si512(_mm512_srl_epi64(words, shift), mask)));
+                Self(_mm512_cvtepi32_ps(_mm512_inserti64x4::<1>(_mm512_castsi256_si512(low), high)))
+            })
         }
     }
     intrinsics! {

@@ -27,7 +27,7 @@ const IDENTITY: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
 fn spec(eye: DVec3, target: DVec3, size: FrameSize) -> FrameSpec {
     let aspect = f64::from(size.xres()) / f64::from(size.yres());
     FrameSpec {
-        scene: SceneId::Statue { triangles: 0, crease: Default::default() },
+        scene: SceneId::Statue { triangles: 0, treatment: Default::default() },
         camera: Camera::look_at(eye, target, DVec3::Z, 0.7, aspect).unwrap(),
         size,
         view: ShadingMode::Shaded,

@@ -100,8 +100,11 @@ fn signal(servers: &[ServerProcess], name: &str) -> anyhow::Result<()> {
 fn main() -> anyhow::Result<()> {
     let args: Args = renderer::cli::parse();
     let camera = Camera::look_at(DVec3::new(1.0, 1.5, 4.0), DVec3::new(0.0, 0.9, 0.0), DVec3::Y, 0.6, 2.0)?;
-    let spec =
-        frame_spec(SceneId::Statue { triangles: args.triangles, crease: Default::default() }, camera, FrameSize::PAPER);
+    let spec = frame_spec(
+        SceneId::Statue { triangles: args.triangles, treatment: Default::default() },
+        camera,
+        FrameSize::PAPER,
+    );
     let goal = RenderGoal { spec: Some(spec), ..goal(Division::Dynamic, 1) };
     let mut wall = Wall { farm: MeasuredFarm::start(([127, 0, 0, 1], 0).into(), goal)?, newest: None };
     let mut servers = (1..=args.nodes).map(|number| wall.start_server(number)).collect::<Result<Vec<_>, _>>()?;

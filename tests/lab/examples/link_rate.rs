@@ -75,7 +75,7 @@ fn main() -> anyhow::Result<()> {
     let goal = RenderGoal { in_flight: args.in_flight, encoding: args.encoding, ..goal(Division::Tiled, args.nodes) };
     let wall = MeasuredFarm::start(args.servers.listen, goal)?;
     let camera = Camera::look_at(DVec3::Z, DVec3::ZERO, DVec3::Y, 0.7, 2.0)?;
-    let spec = frame_spec(SceneId::Statue { triangles: 100, crease: Default::default() }, camera, args.size);
+    let spec = frame_spec(SceneId::Statue { triangles: 100, treatment: Default::default() }, camera, args.size);
     let servers = args.servers.start(args.nodes, wall.farm.address())?;
     let divisions: Vec<_> = args.division.map_or_else(|| Division::VARIANTS.to_vec(), |division| vec![division]);
     let mut rates = vec![vec![]; divisions.len()];

@@ -33,13 +33,14 @@ fn main() -> anyhow::Result<()> {
 
 fn run(args: &Args) -> anyhow::Result<()> {
     let camera = args.picture.read_camera()?;
-    let (source, crease, options) = (args.picture.model.source(), args.picture.model.crease, args.picture.options());
+    let (source, treatment, options) =
+        (args.picture.model.source(), args.picture.model.treatment(), args.picture.options());
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("scene.raywall");
-    build_file(&source, crease, &options, &path, &|_, _| ())?;
+    build_file(&source, treatment, &options, &path, &|_, _| ())?;
     // Only beside a cache are files mapped.
     let cache = Cache::at(folder.path().join("cache"), 0).map_err(|fault| anyhow!(fault))?;
-    let load = |store: SceneStore, source| store.load(source, crease, &options, &|_, _| ());
+    let load = |store: SceneStore, source| store.load(source, treatment, &options, &|_, _| ());
     let file = renderer::model::scene::SceneSource::File(path);
     let scenes = [load(SceneStore::default(), &source)?, load(SceneStore::new(Some(cache)), &file)?];
     let [StoredScene { is_mapped: false, info, .. }, StoredScene { is_mapped: true, .. }] = &scenes else {

@@ -87,7 +87,7 @@ impl Wall {
     fn spec(&self, size: FrameSize) -> anyhow::Result<FrameSpec> {
         let eye = DVec3::new(f64::from(self.n_motions), 0.0, 5.0);
         let camera = Camera::look_at(eye, DVec3::ZERO, DVec3::Y, 0.7, 2.0)?;
-        Ok(frame_spec(SceneId::Statue { triangles: 100, crease: Default::default() }, camera, size))
+        Ok(frame_spec(SceneId::Statue { triangles: 100, treatment: Default::default() }, camera, size))
     }
 
     /// Moves the camera and waits for its frame; returns how many milliseconds that took.

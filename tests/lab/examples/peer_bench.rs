@@ -40,6 +40,7 @@ use rayon::ThreadPool;
 use renderer::{
     cli::{self, say, scene_args::SceneArgs},
     intersect::{InstructionSet, ray::Ray},
+    memory::EndingAllocator,
     model::scene::{self, SceneSource},
     render::{scene::Scene, threads},
 };
@@ -48,8 +49,12 @@ use shared::{
     camera::Camera,
     division::FrameSize,
     protocol::FrameSpec,
-    scene::{Crease, SceneId},
+    scene::{SceneId, Treatment},
 };
+
+/// That of all programs.
+#[global_allocator]
+static ALLOCATOR: EndingAllocator = EndingAllocator;
 
 /// Traces frames on demand, for comparisons with other ray tracers
 #[derive(Parser)]
@@ -85,7 +90,7 @@ fn main() -> ExitCode {
 fn serve() -> Result<()> {
     let args: Args = cli::parse();
     let started = Instant::now();
-    let mesh = scene::load(&SceneSource::File(args.model.clone()), Crease::FLAT, &|_| ())?.mesh;
+    let mesh = scene::load(&SceneSource::File(args.model.clone()), Treatment::FLAT, &|_| ())?.mesh;
     let load_s = started.elapsed().as_secs_f64();
     let (n_triangles, n_vertices) = (mesh.triangles.len(), mesh.vertices.len());
     let options = args.scene.options();
@@ -254,7 +259,7 @@ impl PeerCamera {
         let size = FrameSize::new(xres as u32, yres as u32)?;
         let camera = Camera::new(point("eye")?, point("ll")?, point("u")?, point("v")?)?;
         Ok(Self {
-            spec: frame_spec(SceneId::Statue { triangles: 0, crease: Default::default() }, camera, size),
+            spec: frame_spec(SceneId::Statue { triangles: 0, treatment: Default::default() }, camera, size),
             light: point("light")?,
         })
     }

@@ -34,7 +34,7 @@ use shared::{
     camera::{Camera, CanvasPart, UpAxis},
     division::{Division, FrameSize},
     protocol::FrameSpec,
-    scene::Crease,
+    scene::Treatment,
 };
 
 /// Measures frames of a moving camera with and without a scene file under way
@@ -134,7 +134,7 @@ fn main() -> anyhow::Result<()> {
 
     let cache = Cache::at(machines.wall.join("cache/raywall"), u64::MAX).map_err(|fault| anyhow!(fault))?;
     let store = SceneStore::new(Some(cache));
-    let info = store.describe(&SceneSource::File(path.clone()), Crease::default(), &|_| ())?;
+    let info = store.describe(&SceneSource::File(path.clone()), Treatment::default(), &|_| ())?;
     let aspect = f64::from(args.size.xres()) / f64::from(args.size.yres());
     let camera = Camera::view_all(&info.shape, info.shape.up, aspect, CanvasPart::WHOLE);
     let (min, max) = info.shape.bounds;

@@ -206,7 +206,7 @@ impl Session<'_> {
             if !self.memory.is_empty() {
                 let title = format!("Scene structures: speed, memory and build time on {}", self.name);
                 let reading = "Left is smaller or sooner built, down is faster; the dashed line is the Pareto front. \
-                    All hits are the same, bit for bit.";
+                    All hits are the same, bit for bit, but for those of fewer bits.";
                 let figure = memory::figure(title, self.notes(settings.size, reading), &self.memory, &self.peers);
                 self.write(Chart::Memory, &self.memory, &figure)?;
             }

@@ -32,7 +32,7 @@ use shared::{
     division::FrameSize,
     printable::counted,
     protocol::{FrameSpec, SampleRange},
-    scene::{Crease, SceneId},
+    scene::{SceneId, Treatment},
 };
 
 use self::touched::touched_bytes;
@@ -163,8 +163,8 @@ impl Lab<'_> {
             let mut versions = vec![];
             {
                 let progress = Progress::new(format!("coarsening {name}"));
-                let load = || scene::load(&source, Crease::default(), &|done| progress.set(0.2 * done));
-                let LoadedMesh { mesh, .. } = self.all.install(|| load().map(LoadedMesh::smooth))?;
+                let load = || scene::load(&source, Treatment::default(), &|done| progress.set(0.2 * done));
+                let LoadedMesh { mesh, .. } = self.all.install(|| load().map(LoadedMesh::treated))?;
                 for &cell in &self.args.cells {
                     let coarse = clustered(&mesh, cell * sample);
                     if coarse.triangles.len() as f64 > MOST_KEPT * mesh.triangles.len() as f64 {
@@ -243,7 +243,7 @@ impl Lab<'_> {
         }
         let path = self.out.join("model.raywall");
         let progress = Progress::new(format!("building {source}"));
-        let build = || build_file(source, Crease::default(), &self.options(), &path, &|_, done| progress.set(done));
+        let build = || build_file(source, Treatment::default(), &self.options(), &path, &|_, done| progress.set(done));
         self.all.install(build)?;
         Ok(Version { cell: 0.0, path, is_ours: true })
     }
@@ -273,7 +273,7 @@ fn sample_size(scene: &Scene, camera: &Camera, size: FrameSize) -> f64 {
 }
 
 fn write_scene(mesh: Mesh, options: &GridOptions, path: &Path) -> Result<()> {
-    let id = SceneId::Mesh { blake3: Default::default(), crease: Crease::default() };
+    let id = SceneId::Mesh { blake3: Default::default(), treatment: Treatment::default() };
     let loaded = LoadedMesh { id, mesh, left_out: Vec::new(), sources: None };
     let info = loaded.info(false);
     let mut scene = Scene::build(loaded.mesh, options, &|_| ());

@@ -105,7 +105,7 @@ impl Picture {
     fn setting(&self, args: &WallArgs) -> Setting {
         Setting {
             source: args.show.model.source(),
-            crease: args.show.model.crease,
+            treatment: args.show.model.treatment(),
             store: args.scene.store(),
             size: self.size,
             view: args.view,
@@ -192,9 +192,9 @@ fn load_model(args: &WallArgs) -> anyhow::Result<Model> {
     tracing::info!("loading {source}");
     args.scene.warn_of_scene_file(&source);
     let store = args.scene.store();
-    if !store.has(&source, model.crease) {
+    if !store.has(&source, model.treatment()) {
         warn_of_large_file(&source, 1 + args.n_local());
     }
     let bar = Progress::new(format!("loading {source}"));
-    Ok(Model::load(source, model.crease, &store, &|fraction| bar.set(fraction))?)
+    Ok(Model::load(source, model.treatment(), &store, &|fraction| bar.set(fraction))?)
 }

@@ -16,7 +16,7 @@ use shared::{
     division::FrameSize,
     printable::counted,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
-    scene::Crease,
+    scene::Treatment,
     sky::SkyId,
 };
 
@@ -30,7 +30,7 @@ use crate::{
 /// What scenes are shown with, unless they say otherwise.
 pub(crate) struct Setting {
     pub(crate) source: SceneSource,
-    pub(crate) crease: Crease,
+    pub(crate) treatment: Treatment,
     pub(crate) store: SceneStore,
     pub(crate) size: FrameSize,
     pub(crate) view: ShadingMode,
@@ -190,11 +190,11 @@ impl Playing<'_> {
     /// Reads a scene on a thread of its own: frames go on meanwhile.
     fn prepare(&self, index: usize) {
         let scene: ShowScene = self.player.show().scenes[index].clone();
-        let Setting { source, crease, store, .. } = self.setting;
-        let (source, crease, store) = (source.clone(), *crease, store.clone());
+        let Setting { source, treatment, store, .. } = self.setting;
+        let (source, treatment, store) = (source.clone(), *treatment, store.clone());
         let (answers, wake) = (self.read.0.clone(), self.wake.clone());
         let read = move || {
-            let cue = Cue::read(&scene, &source, crease, &store, &|_| ()).map(Box::new);
+            let cue = Cue::read(&scene, &source, treatment, &store, &|_| ()).map(Box::new);
             // The show may have ended.
             let _ = answers.send((index, cue));
             let _ = wake.try_send(Wakeup::Farm);

@@ -31,7 +31,7 @@ fn options() -> RefinementOptions {
 
 fn spec_at(eye_x: f64) -> FrameSpec {
     FrameSpec {
-        scene: SceneId::Statue { triangles: 1, crease: Default::default() },
+        scene: SceneId::Statue { triangles: 1, treatment: Default::default() },
         camera: Camera::look_at(DVec3::new(eye_x, 0.0, 5.0), DVec3::ZERO, DVec3::Y, 0.7, 2.0).unwrap(),
         size: FrameSize::ONE,
         view: ShadingMode::Shaded,

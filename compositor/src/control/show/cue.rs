@@ -5,7 +5,7 @@ use std::sync::Arc;
 use renderer::{model::scene::SceneSource, scene_file::SceneStore};
 use shared::{
     camera::{Camera, CameraPath, Look, UpAxis, View},
-    scene::Crease,
+    scene::Treatment,
 };
 
 use super::file::{Place, ShowScene};
@@ -36,13 +36,13 @@ impl Cue {
     pub(crate) fn read(
         scene: &ShowScene,
         default: &SceneSource,
-        crease: Crease,
+        treatment: Treatment,
         store: &SceneStore,
         progress: &(dyn Fn(f32) + Sync),
     ) -> Result<Self, String> {
         let source = scene.model.clone().map_or_else(|| default.clone(), SceneSource::File);
         let sidecars = SidecarFiles::read(&source);
-        let model = Model::load(source, crease, store, progress).map_err(|error| error.to_string())?;
+        let model = Model::load(source, treatment, store, progress).map_err(|error| error.to_string())?;
         let views = sidecars.views();
         let view = match scene.place {
             Place::View(number) => {

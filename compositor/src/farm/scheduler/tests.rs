@@ -28,7 +28,7 @@ const C: NodeId = NodeId(3);
 pub(in crate::farm) fn spec(eye_x: f64, triangles: u32) -> FrameSpec {
     let eye = glam::DVec3::new(eye_x, 0.0, 5.0);
     FrameSpec {
-        scene: SceneId::Statue { triangles, crease: Default::default() },
+        scene: SceneId::Statue { triangles, treatment: Default::default() },
         camera: Camera::look_at(eye, glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 2.0).unwrap(),
         size: FrameSize::new(80, 48).unwrap(),
         view: ShadingMode::Shaded,
@@ -391,7 +391,8 @@ fn a_division_is_switched_between_two_frames() {
 #[test]
 fn another_scene_cancels_the_frame_and_every_node_loads_it() {
     let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A, B]);
-    let [first, second] = [1000, 2000].map(|triangles| Some(SceneId::Statue { triangles, crease: Default::default() }));
+    let [first, second] =
+        [1000, 2000].map(|triangles| Some(SceneId::Statue { triangles, treatment: Default::default() }));
     assert_eq!(farm.loading, [(A, first), (B, first)], "each loads it on joining");
     farm.on(Event::GoalChanged(RenderGoal { spec: Some(spec(0.0, 2000)), ..goal(Division::Tiled) }));
     assert_eq!(farm.cancelled, [A, B]);
@@ -406,7 +407,7 @@ fn another_scene_cancels_the_frame_and_every_node_loads_it() {
 
 #[test]
 fn the_next_scene_is_loaded_ahead_and_frames_tell_their_change() {
-    let statue = |triangles| SceneId::Statue { triangles, crease: Default::default() };
+    let statue = |triangles| SceneId::Statue { triangles, treatment: Default::default() };
     let next =
         |triangles, spec| RenderGoal { next_scene: Some((statue(triangles), None)), spec, ..goal(Division::Tiled) };
     let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);

@@ -90,8 +90,9 @@ proptest! {
     #[test]
     fn rays_from_surfaces_hit_as_by_brute_force_in_any_batch_with_any_instructions(
         rays in prop::collection::vec(ray(&statue::generate(6000, &|_| ())), 1..80),
+        precision in prop_oneof![Just(0), Just(10u8)],
     ) {
-        let mesh = statue::generate(6000, &|_| ());
+        let mesh = statue::generate(6000, &|_| ()).snapped(precision.try_into().unwrap());
         let (mut hits, mut occluded) = (vec![Hit::MISS; rays.len()], vec![false; rays.len()]);
         let grid = build(&mesh);
         grid.intersect_rays(&rays, &mut hits);
@@ -113,6 +114,29 @@ proptest! {
                 same.iter_mut().for_each(|hit| *hit = with_file_index(&grid, *hit));
                 prop_assert_eq!(&same, &hits, "{:?}", instructions);
             }
+        }
+    }
+}
+
+#[test]
+fn no_ray_leaves_a_closed_mesh_on_a_coarse_lattice() {
+    let mesh = statue::generate(20_000, &|_| ()).snapped(8.try_into().unwrap());
+    let has_area = |&triangle: &usize| {
+        let [a, b, c] = mesh.corners(triangle).unwrap().map(Vec3::from_array);
+        (b - a).cross(c - a) != Vec3::ZERO
+    };
+    assert!((0..mesh.triangles.len()).filter(has_area).count() < mesh.triangles.len() - 100, "few lose their area");
+    let grid = build(&mesh);
+    let [low, high] = mesh.bounds().corners().map(glam::DVec3::as_vec3);
+    let into = Ray::new(Vec3::new(2.0 * high.x, 0.5 * (low.y + high.y), 0.5 * (low.z + high.z)), -Vec3::X);
+    let first = grid.intersect(&into).t;
+    let second = grid.intersect(&Ray { t_min: first * 1.01, ..into }).t;
+    let inside = into.origin + into.direction * (0.5 * (first + second));
+    // Toward vertices, and points on edges.
+    for [a, b, _] in (0..mesh.triangles.len()).filter_map(|triangle| mesh.corners(triangle)) {
+        let [a, b] = [a, b].map(Vec3::from_array);
+        for target in [a, 0.5 * (a + b), a.lerp(b, 0.3)] {
+            assert!(!grid.intersect(&Ray::new(inside, target - inside)).is_miss(), "{target}");
         }
     }
 }

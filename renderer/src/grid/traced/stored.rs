@@ -1,11 +1,9 @@
 //! Traced meshes in scene files.
 
-use rayon::prelude::*;
-
 use crate::{
     grid::traced::TracedMesh,
     intersect::ray::Hit,
-    model::mesh::{Aabb, Mesh},
+    model::mesh::Aabb,
     scene_file::{
         fault::{Damage, Fault},
         sections::{SectionVisitor, expect},
@@ -17,7 +15,7 @@ impl TracedMesh {
         &'a mut self,
         visitor: &mut impl SectionVisitor<'a>,
     ) -> Result<(), Fault> {
-        visitor.visit("vertices", &mut self.vertices)?;
+        self.positions.visit_sections(visitor)?;
         self.corners.visit_sections(visitor)?;
         self.file_indices.visit_sections(visitor)?;
         visitor.visit("colours", &mut self.colors)?;
@@ -27,7 +25,8 @@ impl TracedMesh {
     }
 
     pub(in crate::grid) fn check_sizes(&self) -> Result<(), Damage> {
-        let n_vertices = self.vertices.len().checked_sub(1).ok_or(Damage::Content("vertices"))?;
+        self.positions.check_sizes()?;
+        let n_vertices = self.positions.len();
         let n_triangles = self.n_triangles();
         let is_whole = |n_items: usize| n_items == 0 || n_items == n_vertices;
         expect(n_triangles < Hit::CAP as usize, "triangles")?;
@@ -45,15 +44,8 @@ impl TracedMesh {
     }
 
     pub(in crate::grid) fn check_contents(&self) -> Result<(), Damage> {
-        let n_vertices = self.vertices.len() - 1;
-        self.corners.check_contents(n_vertices)?;
+        self.corners.check_contents(self.positions.len())?;
         self.file_indices.check_contents()?;
-        // Bounds hold all vertices, so distances from the grid's corner are bounded too.
-        let Aabb { min, max } = self.bounds;
-        let is_inside = |[x, y, z]: [f32; 3]| {
-            min[0] <= x && x <= max[0] && min[1] <= y && y <= max[1] && min[2] <= z && z <= max[2]
-        };
-        let is_sound = |&vertex: &[f32; 3]| Mesh::is_usable(vertex) && is_inside(vertex);
-        expect(self.vertices[..n_vertices].par_iter().all(is_sound), "vertices")
+        self.positions.check_contents(&self.bounds)
     }
 }

@@ -26,7 +26,7 @@ use crate::{
 pub(super) fn spec(eye: DVec3, target: DVec3, bounces: u8) -> FrameSpec {
     let path = PathLight::new(40, bounces, 0).unwrap();
     FrameSpec {
-        scene: SceneId::Statue { triangles: 0, crease: Default::default() },
+        scene: SceneId::Statue { triangles: 0, treatment: Default::default() },
         camera: Camera::look_at(eye, target, DVec3::Y, 0.7, 2.0).unwrap(),
         size: FrameSize::new(64, 32).unwrap(),
         view: ShadingMode::Shaded,

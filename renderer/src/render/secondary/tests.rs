@@ -16,7 +16,7 @@ use crate::{
 
 fn spec(eye: DVec3, target: DVec3, rays: LightingMode) -> FrameSpec {
     FrameSpec {
-        scene: SceneId::Statue { triangles: 0, crease: Default::default() },
+        scene: SceneId::Statue { triangles: 0, treatment: Default::default() },
         camera: Camera::look_at(eye, target, DVec3::Y, 0.7, 2.0).unwrap(),
         size: FrameSize::new(128, 64).unwrap(),
         view: ShadingMode::Shaded,

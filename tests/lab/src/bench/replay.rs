@@ -329,7 +329,7 @@ mod tests {
 
     fn spec(_: usize) -> FrameSpec {
         FrameSpec {
-            scene: SceneId::Statue { triangles: 1, crease: Default::default() },
+            scene: SceneId::Statue { triangles: 1, treatment: Default::default() },
             camera: Camera::look_at(glam::DVec3::Z, glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 2.0).unwrap(),
             size: FrameSize::try_from(SIZE).unwrap(),
             view: ShadingMode::Shaded,

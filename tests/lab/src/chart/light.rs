@@ -135,7 +135,7 @@ fn series_name(rays: LightingMode, noise: NoiseLimit) -> String {
 /// Before black, so that whatever hits nothing adds no light.
 fn render(scene: &Scene, (camera, size): (&Camera, FrameSize), rays: LightingMode, samples: SampleRange) -> Picture {
     let appearance = Appearance { background: Background::plain([0; 3]), ..Appearance::default() };
-    let of_model = frame_spec(SceneId::Statue { triangles: 0, crease: Default::default() }, *camera, size);
+    let of_model = frame_spec(SceneId::Statue { triangles: 0, treatment: Default::default() }, *camera, size);
     let spec = FrameSpec { rays, samples, appearance, ..of_model };
     let (pixels, cpu) = render_lights(scene, &spec, |_, sums, (block, index)| {
         (sums.lights[block][index].as_dvec3() / f64::from(sums.n_samples), f64::from(sums.n_samples))

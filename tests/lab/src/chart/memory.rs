@@ -1,4 +1,5 @@
-//! Bytes, build time and speed of scene structures. All of them must hit the same triangles.
+//! Bytes, build time and speed of scene structures. All of them must hit the same triangles, but for those whose positions have
+//! fewer bits.
 
 use anyhow::{Result, ensure};
 use cpu_time::{ProcessTime, ThreadTime};
@@ -12,6 +13,7 @@ use serde::Serialize;
 use shared::{
     camera::Camera,
     division::{Division, FrameSize},
+    scene::Precision,
 };
 
 use super::peers::{self, Peer};
@@ -39,6 +41,10 @@ pub(super) struct MemoryRow {
     macrocell_levels: u8,
     /// `packets` or `single`.
     rays: &'static str,
+    /// Bits of each coordinate of a position, or `exact`.
+    geometry: String,
+    /// The farthest that a position may be off, in the model's units.
+    largest_error: f64,
     bytes_per_triangle: f64,
     /// CPU time of all threads.
     build_seconds: f64,
@@ -46,23 +52,27 @@ pub(super) struct MemoryRow {
     mrays_per_second: f64,
 }
 
+/// Bits of each coordinate, beside exact positions.
+const BITS: [u8; 4] = [10, 13, 16, 21];
+
 /// Cells per triangle of uniform grids with fewer levels of macrocells.
 const FEW_LEVELS_DENSITY: f64 = 4.0;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Variant {
     options: GridOptions,
+    precision: Precision,
     /// Whether rays are traced one by one; the tree is measured so with one density only.
     is_single: bool,
 }
 
 impl Variant {
     pub(super) fn name(&self) -> String {
-        let Self { options, is_single } = self;
+        let Self { options, precision, is_single } = self;
         let GridOptions { macrocell_levels, storage, .. } = options;
         let density = options.density.unwrap_or(GridOptions::PAPER_DENSITY);
         let rays = if *is_single && *storage == Storage::Tree { ", single rays" } else { "" };
-        format!("{storage}, density {density}, {macrocell_levels} levels{rays}")
+        format!("{storage}, density {density}, {macrocell_levels} levels, geometry {precision}{rays}")
     }
 }
 
@@ -76,10 +86,12 @@ impl Settings {
             densities.push(chosen);
             densities.sort_by(f64::total_cmp);
         }
-        let packets =
-            |&density| Variant { options: GridOptions { density: Some(density), ..options }, is_single: false };
+        let exact = |options: GridOptions| Variant { options, precision: Precision::EXACT, is_single: false };
+        let packets = |&density| exact(GridOptions { density: Some(density), ..options });
         let mut variants: Vec<_> = densities.iter().map(packets).collect();
-        let single = |options: GridOptions| Variant { options, is_single: true };
+        let precisions = BITS.into_iter().flat_map(Precision::try_from);
+        variants.extend(precisions.map(|precision| Variant { precision, ..exact(options) }));
+        let single = |options: GridOptions| Variant { is_single: true, ..exact(options) };
         variants.push(single(options));
         for storage in [Storage::RowDisplacement, Storage::Plain] {
             for &density in &self.uniform_densities {
@@ -132,8 +144,8 @@ impl<'a> Baseline<'a> {
 
     /// Measures a variant. The inner error says why it is left out; the outer one, that its hits are wrong.
     pub(super) fn measure(&self, variant: &Variant, settings: &Settings) -> Result<Result<MemoryRow, String>> {
-        let options = &variant.options;
-        let mesh = self.mesh.clone();
+        let Variant { options, precision, is_single } = variant;
+        let mesh = self.mesh.clone().snapped(*precision);
         let started = ProcessTime::now();
         let scene = Scene::build(mesh, options, &|_| ());
         let build_seconds = started.elapsed().as_secs_f64();
@@ -141,15 +153,15 @@ impl<'a> Baseline<'a> {
             return Ok(Err(shortage.to_string()));
         }
         let mut hasher = blake3::Hasher::new();
-        self.trace(&scene, settings.size, variant.is_single, Some(&mut hasher));
+        self.trace(&scene, settings.size, *is_single, Some(&mut hasher));
         ensure!(
-            hasher.finalize() == self.hash,
+            *precision != Precision::EXACT || hasher.finalize() == self.hash,
             "{} hits other triangles than the default: this is a bug",
             variant.name()
         );
         // Alternates with the default, so that other load on the machine slows both alike.
         let ratios = (0..settings.n_repeats).map(|_| {
-            let ours = self.trace(&scene, settings.size, variant.is_single, None);
+            let ours = self.trace(&scene, settings.size, *is_single, None);
             ours / self.trace(&self.scene, settings.size, false, None)
         });
         let cpu_ns_per_ray = self.cpu_ns * median(ratios);
@@ -157,7 +169,9 @@ impl<'a> Baseline<'a> {
             storage: options.storage.into(),
             density: scene.grid.figures().density,
             macrocell_levels: options.macrocell_levels,
-            rays: if variant.is_single { "single" } else { "packets" },
+            rays: if *is_single { "single" } else { "packets" },
+            geometry: precision.to_string(),
+            largest_error: scene.mesh().largest_error(),
             bytes_per_triangle: scene.n_bytes() as f64 / scene.n_triangles() as f64,
             build_seconds,
             cpu_ns_per_ray,
@@ -213,6 +227,7 @@ fn plot(
 ) -> Plot {
     let name = |row: &MemoryRow| match (row.storage, row.rays) {
         ("masks", "single") => "masks, single rays".to_owned(),
+        ("masks", _) if row.largest_error > 0.0 => "masks, positions of fewer bits".to_owned(),
         ("masks", _) => "masks".to_owned(),
         (storage, _) if row.macrocell_levels < 3 => format!("{storage}, fewer levels"),
         (storage, _) => format!("{storage}, {} levels", row.macrocell_levels),
@@ -222,13 +237,20 @@ fn plot(
         let name = name(row);
         let point = Point::new(value(row).log10(), row.cpu_ns_per_ray.log10());
         let is_coarse = row.storage != "masks" && row.macrocell_levels < 3;
-        let label = if is_coarse { format!("{} levels", row.macrocell_levels) } else { row.density.to_string() };
+        let label = if is_coarse {
+            format!("{} levels", row.macrocell_levels)
+        } else if row.largest_error > 0.0 {
+            format!("{} bits, off by {:.0e}", row.geometry, row.largest_error)
+        } else {
+            row.density.to_string()
+        };
         let point = Point { label, ..point };
         match series.iter_mut().find(|series| series.name == name) {
             Some(series) => series.points.push(point),
             None => {
                 let color = match (row.storage, row.rays) {
                     ("masks", "single") => COLORS[6],
+                    ("masks", _) if row.largest_error > 0.0 => COLORS[1],
                     ("masks", _) => COLORS[3],
                     ("plain", _) => COLORS[5],
                     _ => COLORS[0],
@@ -240,7 +262,8 @@ fn plot(
     }
     series.extend(peers::series(peers, |peer| Some((of_peer(peer)?.log10(), peer.cpu_ns_per_ray?.log10()))));
     Plot {
-        title: "labels: cells per triangle; packets, unless a name says single rays or levels of macrocells".to_owned(),
+        title: "labels: cells per triangle, or bits a coordinate; packets, unless a name says single rays or levels"
+            .to_owned(),
         x,
         y: Axis { title: "CPU ns per ray", label: significant, range: None },
         series,
@@ -250,9 +273,11 @@ fn plot(
 
 /// Compares the grid's own choice, `chosen` cells a triangle, with the fastest variant.
 pub(super) fn verdict(rows: &[MemoryRow], chosen: f64) -> Option<String> {
-    let fastest = rows.iter().min_by(|a, b| a.cpu_ns_per_ray.total_cmp(&b.cpu_ns_per_ray))?;
+    let exact = rows.iter().filter(|row| row.largest_error == 0.0);
+    let fastest = exact.min_by(|a, b| a.cpu_ns_per_ray.total_cmp(&b.cpu_ns_per_ray))?;
     let is_chosen = |row: &&MemoryRow| {
-        row.storage == <&str>::from(Storage::default()) && row.rays == "packets" && row.density == chosen
+        let is_default = row.storage == <&str>::from(Storage::default()) && row.rays == "packets";
+        is_default && row.largest_error == 0.0 && row.density == chosen
     };
     let ours = rows.iter().find(is_chosen)?;
     let excess = |ours: f64, best: f64| 100.0 * (ours / best - 1.0);

@@ -104,7 +104,7 @@ pub(super) fn measure(
 fn render(scene: &Scene, camera: &Camera, size: FrameSize, samples: SampleRange) -> (Vec<u8>, f64) {
     let spec = FrameSpec {
         samples,
-        ..frame_spec(SceneId::Statue { triangles: 0, crease: Default::default() }, *camera, size)
+        ..frame_spec(SceneId::Statue { triangles: 0, treatment: Default::default() }, *camera, size)
     };
     let (rgb, cpu) = scene.render_frame(&spec);
     (rgb, milliseconds(cpu))

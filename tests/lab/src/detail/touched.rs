@@ -78,7 +78,7 @@ mod tests {
     };
     use shared::{
         camera::{Camera, CanvasPart},
-        scene::Crease,
+        scene::Treatment,
     };
 
     use super::*;
@@ -90,7 +90,7 @@ mod tests {
         let folder = tempfile::tempdir_in(std::env::current_exe().unwrap().parent().unwrap()).unwrap();
         let path = folder.path().join("statue.raywall");
         let source = SceneSource::Statue { triangles: 300_000 };
-        build_file(&source, Crease::default(), &GridOptions::default(), &path, &|_, _| ()).unwrap();
+        build_file(&source, Treatment::default(), &GridOptions::default(), &path, &|_, _| ()).unwrap();
         let scenes = MappedScenes::in_folder(folder.path()).unwrap();
         scenes.load(&path).unwrap().finish();
         let n_bytes = std::fs::metadata(&path).unwrap().len();

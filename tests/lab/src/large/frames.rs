@@ -20,7 +20,7 @@ use shared::{
     detail::Detail,
     division::{Division, FrameSize},
     protocol::FrameSpec,
-    scene::{Crease, SceneId},
+    scene::{SceneId, Treatment},
 };
 
 use super::{Files, process};
@@ -82,7 +82,7 @@ impl MappedScenes {
     /// Maps a scene file, on the current rayon pool.
     pub(crate) fn load(&self, path: &Path) -> Result<StoredScene> {
         let source = SceneSource::File(path.to_owned());
-        let stored = self.0.load(&source, Crease::default(), &GridOptions::default(), &|_, _| ())?;
+        let stored = self.0.load(&source, Treatment::default(), &GridOptions::default(), &|_, _| ())?;
         ensure!(stored.is_mapped, "{} is not mapped: others may write in its folder", path.display());
         Ok(stored)
     }

@@ -12,7 +12,7 @@ use renderer::{
         scene::{self, SceneSource},
     },
 };
-use shared::{camera::Camera, scene::Crease};
+use shared::{camera::Camera, scene::Treatment};
 use strum::VariantArray;
 
 use super::{cameras, contenders::Tally, head, line};
@@ -21,7 +21,7 @@ use super::{cameras, contenders::Tally, head, line};
 const N_RAYS: u64 = 512;
 
 pub(super) fn run(mesh: &Path, camera: &Camera) -> Result<()> {
-    let mesh = scene::load(&SceneSource::File(mesh.to_owned()), Crease::FLAT, &|_| ())?.mesh;
+    let mesh = scene::load(&SceneSource::File(mesh.to_owned()), Treatment::FLAT, &|_| ())?.mesh;
     let tally = check(&mesh, &camera.relative_to(mesh.origin));
     say(format_args!("{}\n{}", head(), line("replayed", &tally)))?;
     match tally.first_failure {

@@ -92,7 +92,7 @@ fn light_of(
     let Ok(size) = FrameSize::new(2 * side, side) else { return Tally::default() };
     let spec = FrameSpec {
         rays: LightingMode::Shadows,
-        ..frame_spec(SceneId::Statue { triangles: 0, crease: Default::default() }, *camera, size)
+        ..frame_spec(SceneId::Statue { triangles: 0, treatment: Default::default() }, *camera, size)
     };
     let light = light.as_vec3();
     let mut secondary = SecondaryRays::new(&grid, &spec, None);

@@ -57,7 +57,7 @@ fn goal(min_renderers: usize) -> RenderGoal {
 
 fn spec_from(eye_x: f64) -> FrameSpec {
     FrameSpec {
-        scene: SceneId::Statue { triangles: 1, crease: Default::default() },
+        scene: SceneId::Statue { triangles: 1, treatment: Default::default() },
         camera: Camera::look_at(glam::DVec3::new(eye_x, 0.0, 1.0), glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 2.0)
             .unwrap(),
         size: SIZE.try_into().unwrap(),
@@ -338,7 +338,7 @@ fn costs_of_another_scene_or_division_are_not_used() {
     assert_eq!(balance.divide(&small, &nodes), Some(vec![run(0, 16), run(16, 48)]), "in any resolution");
     assert_eq!(
         balance.divide(
-            &FrameSpec { scene: SceneId::Statue { triangles: 2, crease: Default::default() }, ..spec() },
+            &FrameSpec { scene: SceneId::Statue { triangles: 2, treatment: Default::default() }, ..spec() },
             &nodes
         ),
         None
