@@ -7,7 +7,11 @@ use std::{path::PathBuf, time::Instant};
 use clap::Parser;
 use cpu_time::ProcessTime;
 use lab::statistics::{median, milliseconds};
-use renderer::formats::file;
+use renderer::{formats::file, memory::EndingAllocator};
+
+/// That of all programs.
+#[global_allocator]
+static ALLOCATOR: EndingAllocator = EndingAllocator;
 
 /// The models, and the measurement.
 #[derive(Parser)]
