@@ -81,8 +81,13 @@ impl Mesh {
     /// A vertex has one place, so surfaces stay closed. Normals stay, and triangles may lose their area.
     #[must_use]
     pub fn snapped(self, precision: Precision) -> Self {
-        let lattice = precision.bits().and_then(|_| Lattice::over(&self.bounds(), precision));
+        let lattice = self.lattice_of(precision);
         self.snapped_to(lattice)
+    }
+
+    /// The lattice that [`Mesh::snapped`] uses; `None` if positions stay exact.
+    pub(crate) fn lattice_of(&self, precision: Precision) -> Option<Lattice> {
+        precision.bits().and_then(|_| Lattice::over(&self.bounds(), precision))
     }
 
     /// The same on this lattice, which spans the mesh's bounds.

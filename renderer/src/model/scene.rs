@@ -17,7 +17,6 @@ use crate::{
         sources::Sources,
     },
     model::{
-        lattice::Lattice,
         material::{Material, Materials, TextureUse},
         mesh::Mesh,
         statue,
@@ -147,8 +146,7 @@ impl LoadedMesh {
             let rounding = mesh.largest_rounding();
             format!("traced relative to ({x}, {y}, {z}), rounded by at most {rounding:.1e}")
         });
-        let lattice = Lattice::over(&mesh.bounds(), self.id.treatment().precision);
-        let rounded = lattice.map(|lattice| {
+        let rounded = mesh.lattice_of(self.id.treatment().precision).map(|lattice| {
             let (n_bits, error) = (lattice.n_bits(), lattice.largest_error());
             format!("positions have {n_bits} bits for each coordinate, and are off by at most {error:.1e}")
         });
