@@ -29,9 +29,6 @@ const LONGEST_END: Duration = Duration::from_secs(5);
 /// most of all on virtual machines.
 const LEAST_OF_HUGE_PAGES: usize = 1 << 22;
 
-/// The size of a huge page on x86-64, and with small pages of 4 KB on ARM.
-const HUGE_PAGE: usize = 1 << 21;
-
 /// The system's allocator, for the `#[global_allocator]` of a program. When memory runs out, it prints the cure and ends
 /// the program; while a [`spill::Spill`] lasts, it takes large blocks from there.
 ///
@@ -106,24 +103,29 @@ fn finished(pointer: *mut u8, n_bytes: usize) -> *mut u8 {
         end(n_bytes);
     }
     if n_bytes >= LEAST_OF_HUGE_PAGES && !pointer.is_null() {
-        ask_for_huge_pages(pointer, n_bytes);
+        ask_for_huge_pages(pointer);
     }
     pointer
 }
 
-/// Asks for huge pages within a block. Where the system has none, the block keeps small ones.
+/// Asks for huge pages. Where the system has none, the block keeps small ones.
+///
+/// The advice covers all pages of the block: of parts with and without it the system makes two mappings, and then cannot move
+/// the block where it grows.
+#[cfg(target_os = "linux")]
 #[cold]
-fn ask_for_huge_pages(pointer: *mut u8, n_bytes: usize) {
-    let begin = pointer as usize;
-    let (first, end) = (begin.next_multiple_of(HUGE_PAGE), (begin + n_bytes) / HUGE_PAGE * HUGE_PAGE);
-    #[cfg(target_os = "linux")]
-    // SAFETY: the pages lie within the block, and keep their contents.
+fn ask_for_huge_pages(block: *mut u8) {
+    const PAGE: usize = 4096;
+    let first = block as usize / PAGE * PAGE;
+    // SAFETY: the block comes from the C library, which knows its end; the pages keep their contents.
     unsafe {
-        libc::madvise(first as *mut libc::c_void, end.saturating_sub(first), libc::MADV_HUGEPAGE);
+        let end = block as usize + libc::malloc_usable_size(block.cast());
+        libc::madvise(first as *mut libc::c_void, end - first, libc::MADV_HUGEPAGE);
     }
-    #[cfg(not(target_os = "linux"))]
-    let _ = (first, end);
 }
+
+#[cfg(not(target_os = "linux"))]
+fn ask_for_huge_pages(_: *mut u8) {}
 
 #[cold]
 fn end(n_bytes: usize) -> ! {
