@@ -84,7 +84,7 @@ impl ModelArgs {
         Treatment { crease: self.crease, precision: self.geometry }
     }
 
-    /// Loads the model and finishes its surface, with a progress bar.
+    /// Loads and treats the model, with a progress bar.
     pub fn load(&self) -> Result<LoadedMesh, LoadError> {
         let source = self.source();
         let progress = Progress::new(format!("loading {source}"));

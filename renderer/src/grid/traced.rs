@@ -339,8 +339,8 @@ fn of_vertices<T: Pod + Send + Sync>(values: &[T], kept: &[Vec<u32>]) -> Vec<T> 
     in_order(values, kept, 1, 0, |value, to| to[0] = *value)
 }
 
-/// What is written for the values of the kept vertices, `stride` items for each, and so many more zeros. In parallel: the first
-/// write to fresh memory waits for page faults.
+/// The kept vertices' values as `write` gives them, `stride` items for each, and so many more zeros. Threads write in parallel,
+/// because the first write to fresh memory waits for page faults.
 fn in_order<T: Sync, U: Pod + Send>(
     values: &[T],
     kept: &[Vec<u32>],
