@@ -69,3 +69,13 @@ fn an_interrupted_experiment_leaves_its_measurements() {
     assert!(status.success() && said.contains("stopped: results so far"), "{said}");
     assert!(figures(folder.path())["measured"].as_array().unwrap().len() >= 2);
 }
+
+/// A closure in a kernel is not compiled for the kernel's instruction set: its instructions become calls, and frames take up
+/// to 1.4 times as long, with the same bits.
+#[cfg(target_arch = "x86_64")]
+#[test]
+fn the_renderer_calls_no_function_for_a_vector_instruction() {
+    let program = std::fs::read(Program::command("renderer").get_program()).unwrap();
+    let is_called = program.windows(7).any(|bytes| bytes == b"_mm512_");
+    assert!(!is_called, "nm shows the functions, and objdump -d their callers");
+}

@@ -110,24 +110,29 @@ impl Simd for Avx2 {
     unsafe fn gather_packed(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all points are there.
         unsafe {
-            let words = |first: usize| {
-                let word = |lane: usize| packed(points, stride, indices[first + lane]);
-                _mm256_setr_epi64x(word(0), word(1), word(2), word(3))
-            };
-            let words = [words(0), words(4)];
+            let mut words = [_mm256_setzero_si256(); 2];
+            for (half, words) in words.iter_mut().enumerate() {
+                let first = 4 * half;
+                *words = _mm256_setr_epi64x(
+                    packed(points, stride, indices[first]),
+                    packed(points, stride, indices[first + 1]),
+                    packed(points, stride, indices[first + 2]),
+                    packed(points, stride, indices[first + 3]),
+                );
+            }
             let mask = _mm256_set1_epi64x((1 << n_bits) - 1);
-            [0, 1, 2].map(|axis| {
+            // The lower halves of all lanes, in order, in the lower half of the register.
+            let lower_halves = _mm256_setr_epi32(0, 2, 4, 6, 0, 2, 4, 6);
+            let mut coordinates = [Self(_mm256_setzero_ps()); 3];
+            for (axis, coordinates) in (0..).zip(&mut coordinates) {
                 let shift = _mm_cvtsi32_si128((axis * n_bits) as i32);
-                let [low, high] = words.map(|words| {
-                    let numbers = _mm256_and_si256(_mm256_srl_epi64(words, shift), mask);
-                    // The lower halves of all lanes, in order, in the lower half of the register.
-                    _mm256_castsi256_si128(_mm256_permutevar8x32_epi32(
-                        numbers,
-                        _mm256_setr_epi32(0, 2, 4, 6, 0, 2, 4, 6),
-                    ))
-                });
-                Self(_mm256_cvtepi32_ps(_mm256_set_m128i(high, low)))
-            })
+                let low = _mm256_and_si256(_mm256_srl_epi64(words[0], shift), mask);
+                let high = _mm256_and_si256(_mm256_srl_epi64(words[1], shift), mask);
+                let low = _mm256_castsi256_si128(_mm256_permutevar8x32_epi32(low, lower_halves));
+                let high = _mm256_castsi256_si128(_mm256_permutevar8x32_epi32(high, lower_halves));
+                *coordinates = Self(_mm256_cvtepi32_ps(_mm256_set_m128i(high, low)));
+            }
+            coordinates
         }
     }
     intrinsics! {
@@ -239,18 +244,30 @@ impl Simd for Avx512 {
     unsafe fn gather_packed(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all points are there.
         unsafe {
-            let words = |first: usize| {
-                let word = |lane: usize| packed(points, stride, indices[first + lane]);
-                _mm512_setr_epi64(word(0), word(1), word(2), word(3), word(4), word(5), word(6), word(7))
-            };
-            let words = [words(0), words(8)];
+            let mut words = [_mm512_setzero_si512(); 2];
+            for (half, words) in words.iter_mut().enumerate() {
+                let first = 8 * half;
+                *words = _mm512_setr_epi64(
+                    packed(points, stride, indices[first]),
+                    packed(points, stride, indices[first + 1]),
+                    packed(points, stride, indices[first + 2]),
+                    packed(points, stride, indices[first + 3]),
+                    packed(points, stride, indices[first + 4]),
+                    packed(points, stride, indices[first + 5]),
+                    packed(points, stride, indices[first + 6]),
+                    packed(points, stride, indices[first + 7]),
+                );
+            }
             let mask = _mm512_set1_epi64((1 << n_bits) - 1);
-            [0, 1, 2].map(|axis| {
+            let mut coordinates = [Self(_mm512_setzero_ps()); 3];
+            for (axis, coordinates) in (0..).zip(&mut coordinates) {
                 let shift = _mm_cvtsi32_si128((axis * n_bits) as i32);
-                let [low, high] =
-                    words.map(|words| _mm512_cvtepi64_epi32(_mm512_and_si512(_mm512_srl_epi64(words, shift), mask)));
-                Self(_mm512_cvtepi32_ps(_mm512_inserti64x4::<1>(_mm512_castsi256_si512(low), high)))
-            })
+                let low = _mm512_cvtepi64_epi32(_mm512_and_si512(_mm512_srl_epi64(words[0], shift), mask));
+                let high = _mm512_cvtepi64_epi32(_mm512_and_si512(_mm512_srl_epi64(words[1], shift), mask));
+                let numbers = _mm512_inserti64x4::<1>(_mm512_castsi256_si512(low), high);
+                *coordinates = Self(_mm512_cvtepi32_ps(numbers));
+            }
+            coordinates
         }
     }
     intrinsics! {

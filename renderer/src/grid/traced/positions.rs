@@ -97,21 +97,29 @@ impl Positions {
     /// # Safety
     ///
     /// The vertices in the first [`Simd::LANES`] lanes exist.
+    //
+    // No closures: they are not compiled for the caller's instruction set.
     #[inline(always)]
     pub(super) unsafe fn gather<S: Simd>(&self, vertices: [&[u32; 16]; 3]) -> [[S; 3]; 3] {
-        let Some(lattice) = &self.lattice else {
+        let mut gathered = [[S::splat(0.0); 3]; 3];
+        if let Some(lattice) = &self.lattice {
+            let (stride, n_bits, step) = (stride(lattice), lattice.n_bits(), S::splat(lattice.step()));
+            let [x, y, z] = lattice.min();
+            let [x, y, z] = [S::splat(x), S::splat(y), S::splat(z)];
+            for (gathered, vertices) in gathered.iter_mut().zip(vertices) {
+                // SAFETY: the caller's, and as many bytes as are loaded follow the last point.
+                let numbers = unsafe { S::gather_packed(&self.points, stride, n_bits, vertices) };
+                // As in [`Lattice::position`].
+                *gathered = [numbers[0].mul(step).add(x), numbers[1].mul(step).add(y), numbers[2].mul(step).add(z)];
+            }
+        } else {
             let coordinates = bytemuck::cast_slice(&self.exact);
-            // SAFETY: the caller's, and another vertex follows the last.
-            return vertices.map(|vertices| unsafe { S::gather_xyz(coordinates, vertices) });
-        };
-        let (stride, n_bits) = (stride(lattice), lattice.n_bits());
-        let (min, step) = (lattice.min().map(S::splat), S::splat(lattice.step()));
-        vertices.map(|vertices| {
-            // SAFETY: the caller's, and as many bytes as are loaded follow the last point.
-            let numbers = unsafe { S::gather_packed(&self.points, stride, n_bits, vertices) };
-            // As in [`Lattice::position`].
-            array::from_fn(|axis| numbers[axis].mul(step).add(min[axis]))
-        })
+            for (gathered, vertices) in gathered.iter_mut().zip(vertices) {
+                // SAFETY: the caller's, and another vertex follows the last.
+                *gathered = unsafe { S::gather_xyz(coordinates, vertices) };
+            }
+        }
+        gathered
     }
 
     pub(super) fn n_bytes(&self) -> usize {
