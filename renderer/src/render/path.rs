@@ -270,7 +270,7 @@ impl<'a> PathTracer<'a> {
                     self.scatter(path, &lifted, &scattering, bounce, &mut next);
                     continue;
                 }
-                let surface = surfaces[index].unwrap_or_else(|| shader.flat_surface(path.direction, path.hit));
+                let surface = surfaces[index].unwrap_or_else(|| shader.cap(path.direction));
                 let Some(lifted) = self.lift.point(path.origin, path.direction, path.hit) else { continue };
                 let light = &mut lights[path.pixel];
                 let material = materials[index].as_ref();

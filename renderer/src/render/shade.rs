@@ -60,8 +60,8 @@ impl<'a> Shader<'a> {
         Self { mesh, shading: spec.view, up, n_rows: spec.size.yres() as f32, background, has_shadows, cap_normal }
     }
 
-    /// The linear light along one ray, given its hit's interpolated surface and material, if it has them, and the lights that
-    /// reach it. `row` counts samples from the bottom.
+    /// The linear light along one ray, given its hit's surface, unless that is a cap, its material, if it has one, and the lights
+    /// that reach it. `row` counts samples from the bottom.
     #[inline]
     pub fn light(
         &self,
@@ -76,7 +76,7 @@ impl<'a> Shader<'a> {
             return self.backdrop(row);
         }
         let Surface { to_eye, geometric, shading: normal, color } =
-            surface.copied().unwrap_or_else(|| self.flat_surface(direction, hit));
+            surface.copied().unwrap_or_else(|| self.cap(direction));
         match self.shading {
             // The cost of a ray does not depend on its hit: see [`cost_color`].
             ShadingMode::Normals | ShadingMode::Cost => (normal + 1.0) * 0.5,
@@ -125,7 +125,7 @@ impl<'a> Shader<'a> {
     }
 
     /// Finds the interpolated surface of a mesh at up to 64 hits, and the footprints on its textures; `None` for misses and
-    /// caps. All are `None`, and left so, in meshes of flat triangles without colours and textures.
+    /// caps.
     pub(super) fn find_surfaces(
         &self,
         instructions: InstructionSet,
@@ -134,20 +134,16 @@ impl<'a> Shader<'a> {
         surfaces: &mut [Option<Surface>; 64],
         footprints: &mut Footprints,
     ) {
-        let mesh = self.mesh;
-        if mesh.has_normals() || mesh.has_colors() || mesh.has_texture_coordinates() {
-            // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-            unsafe { instructions.call(Surfaces { mesh, rays, hits, surfaces, footprints }) }
-        }
+        // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
+        unsafe { instructions.call(Surfaces { mesh: self.mesh, rays, hits, surfaces, footprints }) }
     }
 
-    /// A cap or a flat triangle without a colour, on the side of the eye: scans are seen from both sides.
+    /// A cap, which faces the cut.
     #[inline]
-    pub(super) fn flat_surface(&self, direction: Vec3, hit: Hit) -> Surface {
+    pub(super) fn cap(&self, direction: Vec3) -> Surface {
         let to_eye = -normalize_or_zero(direction.as_dvec3());
-        let normal = if hit.is_cap() { self.cap_normal } else { normalize_or_zero(self.mesh.normal(hit.triangle)) };
-        let geometric = if normal.dot(to_eye) < 0.0 { -normal } else { normal };
-        Surface { to_eye, geometric, shading: geometric, color: Vec3::ZERO }
+        let normal = if self.cap_normal.dot(to_eye) < 0.0 { -self.cap_normal } else { self.cap_normal };
+        Surface { to_eye, geometric: normal, shading: normal, color: Vec3::ZERO }
     }
 
     /// The albedo of a surface without a material; `color` is that of its mesh.
