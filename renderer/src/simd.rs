@@ -97,6 +97,16 @@ pub(crate) fn consecutive(first: u32) -> [u32; 16] {
     numbers
 }
 
+/// Every second number from `first` on, as [`consecutive`].
+#[inline(always)]
+pub(crate) fn every_second(first: u32) -> [u32; 16] {
+    let mut numbers = [0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30];
+    for number in &mut numbers {
+        *number = first.wrapping_add(*number);
+    }
+    numbers
+}
+
 /// An instruction set: a vector of [`Simd::LANES`] single-precision numbers, and operations on vectors and slices.
 pub(crate) trait Simd: Copy {
     /// Number of lanes: 8 or 16.

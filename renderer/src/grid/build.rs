@@ -26,7 +26,7 @@ use crate::{
 const TREE_BYTES_PER_REFERENCE: u64 = TracedMesh::BYTES_PER_TRIANGLE + 1;
 
 /// Bytes of its box, with its part of the hierarchy's; they are made after the loaded mesh is dropped.
-const BOX_BYTES_PER_REFERENCE: u64 = 7;
+const BOX_BYTES_PER_REFERENCE: u64 = 4;
 
 /// Bytes of the program before it has a scene.
 pub(crate) const PROGRAM_BYTES: u64 = 40_000_000;

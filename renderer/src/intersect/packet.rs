@@ -340,7 +340,7 @@ impl Tree {
         for leaf in &*leaves {
             let items = self.items_of(leaf.number);
             self.items.prefetch::<S>(items.start);
-            self.boxes.prefetch::<S>(items);
+            self.boxes.prefetch::<S>(leaf.number, items);
         }
 
         // Gather the triangles whose boxes some ray may pass.
@@ -350,7 +350,7 @@ impl Tree {
             for local_axis in 0..3 {
                 corner_from_origin[local_axis] = f64::from(leaf.low[local_axis]) - origin[local_axis];
             }
-            let bytes = self.boxes.of_leaf(items.clone());
+            let bytes = self.boxes.of_leaf(leaf.number, items.clone());
             let boxes = LeafBoxes::new(
                 bytes,
                 culler.ray_bounds.axes,

@@ -4,7 +4,7 @@
 //! Here each of [`N_SLOTS`] rays takes one step at a time, and rays that need the same step take it one after the other, so
 //! that a processor overlaps their steps. Their triangles are decided together, with all lanes full.
 
-use std::cell::Cell;
+use std::{cell::Cell, ops::Range};
 
 use glam::Vec3;
 
@@ -13,7 +13,7 @@ use crate::{
         Grid,
         tree::{
             Tree,
-            boxes::{GROUP, GroupBytes},
+            boxes::{GROUP, GroupBytes, ITEMS_PER_BOX, ITEMS_PER_GROUP},
             hierarchy::{CHILDREN, Entry, HierarchyNode, LEAF, NONE},
         },
     },
@@ -98,28 +98,38 @@ struct Pairs {
 impl Pairs {
     const EMPTY: Self = Self { slots: [0; ROOM], indices: [0; ROOM], n: 0 };
 
-    /// Appends the pairs of a slot with those boxes that its ray passes, which are numbered from `first_index` on. Returns
-    /// how many there are.
+    /// Appends the pairs of a slot with those boxes that its ray passes, by their number in the group. Returns how many there
+    /// are.
     #[inline(always)]
-    fn push_passed<S: Simd>(
-        &mut self,
-        slot: u32,
-        descent: &Descent,
-        slabs: &Slabs,
-        boxes: GroupBytes<'_>,
-        first_index: u32,
-    ) -> usize {
+    fn push_passed<S: Simd>(&mut self, slot: u32, descent: &Descent, slabs: &Slabs, boxes: GroupBytes<'_>) -> usize {
         let n_before = self.n % (2 * N_COLLECTED);
         let mut n = n_before;
         for first in (0..GROUP).step_by(S::LANES) {
             let passed = descent.passed_boxes::<S>(slabs, boxes, first);
             let at = n % (2 * N_COLLECTED);
             self.slots[at..][..S::LANES].fill(slot);
-            let indices = S::load_bits(&consecutive(first_index + first as u32));
+            let indices = S::load_bits(&consecutive(first as u32));
             n += indices.compress_bits_to(passed, &mut self.indices[at..]);
         }
         self.n = n;
         n - n_before
+    }
+
+    /// Makes pairs of items out of the last `n_boxes`, of boxes of a group with these items. Returns how many there are.
+    #[inline(always)]
+    fn boxes_to_items(&mut self, n_boxes: usize, of_group: Range<u32>) -> usize {
+        let end = self.n % (2 * N_COLLECTED);
+        let (first, mut n) = (end - n_boxes, end);
+        for index in first..end {
+            let item = of_group.start + ITEMS_PER_BOX as u32 * self.indices[index];
+            self.indices[index] = item;
+            let at = n % (2 * N_COLLECTED);
+            (self.slots[at], self.indices[at]) = (self.slots[index], item + 1);
+            // The leaf's last box may have one item.
+            n += usize::from(item + 1 < of_group.end);
+        }
+        self.n = n;
+        n - first
     }
 
     /// Appends the pairs of a slot with those children of a node that its ray passes. Returns how many there are.
@@ -330,12 +340,12 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
                 let leaf = self.state.entries[slot_idx] & !LEAF;
                 let Slot { descent, slabs, items, .. } = &mut self.state.slots[slot_idx];
                 let of_leaf = self.tree.items_of(leaf);
-                let n_groups = of_leaf.len().div_ceil(GROUP);
+                let n_groups = of_leaf.len().div_ceil(ITEMS_PER_GROUP);
                 *slabs = descent.leaf_slabs(self.tree.leaf_cubes[leaf as usize]);
-                *items = [(of_leaf.start + first * GROUP) as u32, of_leaf.end as u32];
+                *items = [(of_leaf.start + first * ITEMS_PER_GROUP) as u32, of_leaf.end as u32];
                 self.tree.items.prefetch::<S>(of_leaf.start);
                 let groups = self.tree.boxes.of_groups(leaf, of_leaf).group(first);
-                self.state.groups.push_passed::<S>(slots[next], descent, slabs, groups, 0);
+                self.state.groups.push_passed::<S>(slots[next], descent, slabs, groups);
                 let is_last = first + GROUP >= n_groups;
                 first = if is_last { 0 } else { first + GROUP };
                 next += usize::from(is_last);
@@ -354,9 +364,12 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
             let slot_idx = self.state.groups.slots[index];
             let slot = &mut self.state.slots[slot_idx as usize];
             let [first_of_groups, end] = slot.items;
-            let first = first_of_groups + self.state.groups.indices[index] * GROUP as u32;
-            let boxes = self.tree.boxes.group(first as usize, ((end - first) as usize).min(GROUP));
-            let n = self.state.triangles.push_passed::<S>(slot_idx, &slot.descent, &slot.slabs, boxes, first);
+            let leaf = self.state.entries[slot_idx as usize % N_SLOTS] & !LEAF;
+            let first = first_of_groups + self.state.groups.indices[index] * ITEMS_PER_GROUP as u32;
+            let of_group = first..end.min(first + ITEMS_PER_GROUP as u32);
+            let boxes = self.tree.boxes.group(leaf, of_group.start as usize..of_group.end as usize);
+            let n_boxes = self.state.triangles.push_passed::<S>(slot_idx, &slot.descent, &slot.slabs, boxes);
+            let n = self.state.triangles.boxes_to_items(n_boxes, of_group);
             slot.nearest.cost.n_tests += n as u32;
             if self.state.triangles.is_full() {
                 self.decide_items::<S>();

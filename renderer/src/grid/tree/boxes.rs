@@ -1,7 +1,8 @@
 //! Quantised bounds of the triangles in each leaf: most triangles are rejected without reading their vertices.
 //!
-//! Six bytes a triangle: its bounds within the leaf's cube, in steps of a 250th of the cube. A box
-//! holds the part of its triangle inside the cube, so a ray that hits the triangle there passes the box. Vertices lie
+//! Two triangles share a box: in scans those that follow each other are mostly the halves of a quadrangle, whose bounds are
+//! hardly larger than those of one. Six bytes a box: bounds within the leaf's cube, in steps of a 250th of the cube. A box
+//! holds the parts of its triangles inside the cube, so a ray that hits one there passes the box. Vertices lie
 //! far apart in memory; in a scan seen from afar nearly all boxes lie between the rays.
 
 use std::ops::Range;
@@ -33,25 +34,37 @@ const MARGIN: f32 = 1.0 / (1u32 << 19) as f32;
 /// Bytes after the last box, so that a vector can be loaded from there.
 const PADDING: usize = 16;
 
-/// Triangles of a group: neighbours in space, whose boxes lie side by side.
+/// Items that share a box.
+pub(crate) const ITEMS_PER_BOX: usize = 2;
+
+/// Boxes of a group: of neighbours in space, side by side.
 pub(crate) const GROUP: usize = 16;
 
-/// The boxes of all items, in their order, and of groups of them.
+/// Items of a group.
+pub(crate) const ITEMS_PER_GROUP: usize = ITEMS_PER_BOX * GROUP;
+
+/// The boxes of all leaves, in their order, and of groups of them.
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct QuantizedBoxes {
-    /// A leaf's groups follow each other. A group of n items from number r on has 6·n bytes from index 6·r on: n least
-    /// x, n greatest x, then y and z.
+    /// A leaf's groups follow each other. A group of n boxes from number r on has 6·n bytes from index 6·r on: n least
+    /// x, n greatest x, then y and z. The leaf's first is [`box_number`].
     #[serde(skip)]
     bytes: Section<u8>,
-    /// Bounds of each group, in the same form: a leaf with n groups has 6·n bytes from index 6·[`first_group`] on.
+    /// Bounds of each group, in the same form: a leaf with n groups has 6·n bytes from index 6·[`group_number`] on.
     #[serde(skip)]
     group_bytes: Section<u8>,
 }
 
-/// Index of a leaf's first group, if its items begin at `start`. No leaf has more groups than lie before the next's.
+/// The number of the box in which an item of a leaf is the first. No leaf has more boxes than lie before the next's.
 #[inline(always)]
-fn first_group(leaf: u32, start: usize) -> usize {
-    start / GROUP + leaf as usize
+fn box_number(leaf: u32, item: usize) -> usize {
+    item / ITEMS_PER_BOX + leaf as usize
+}
+
+/// The number of the group in which an item of a leaf is the first. No leaf has more groups than lie before the next's.
+#[inline(always)]
+fn group_number(leaf: u32, item: usize) -> usize {
+    item / ITEMS_PER_GROUP + leaf as usize
 }
 
 /// Boxes of a leaf or of its groups: six rows for every 16, the last of fewer.
@@ -146,13 +159,13 @@ impl QuantizedBoxes {
     ) -> Self {
         const LEAVES_PER_JOB: usize = 1024;
         // Divide the leaves, and the bytes of their boxes, into jobs.
-        let n_items = leaf_starts.last().map_or(0, |&end| end as usize);
-        let mut bytes = vec![0; 6 * n_items + PADDING];
+        let first_box = |leaf: usize| box_number(leaf as u32, leaf_starts[leaf] as usize);
+        let mut bytes = vec![0; 6 * first_box(leaf_cubes.len()) + PADDING];
         let mut jobs = Vec::new();
         let mut rest = &mut *bytes;
         for first in (0..leaf_cubes.len()).step_by(LEAVES_PER_JOB) {
             let end = (first + LEAVES_PER_JOB).min(leaf_cubes.len());
-            let (chunk, others) = rest.split_at_mut(6 * (leaf_starts[end] - leaf_starts[first]) as usize);
+            let (chunk, others) = rest.split_at_mut(6 * (first_box(end) - first_box(first)));
             jobs.push((first..end, chunk));
             rest = others;
         }
@@ -160,10 +173,9 @@ impl QuantizedBoxes {
         // Measure each leaf's triangles.
         jobs.into_par_iter().for_each(|(leaves, mut bytes)| {
             for leaf in leaves {
-                let of_leaf = leaf_starts[leaf]..leaf_starts[leaf + 1];
-                let (chunk, others) = bytes.split_at_mut(6 * of_leaf.len());
+                let (chunk, others) = bytes.split_at_mut(6 * (first_box(leaf + 1) - first_box(leaf)));
                 bytes = others;
-                measure(space, leaf_cubes[leaf], mesh, of_leaf.map(|item| items.triangle(item)), chunk);
+                measure(space, leaf_cubes[leaf], mesh, items, leaf_starts[leaf]..leaf_starts[leaf + 1], chunk);
             }
         });
         let group_bytes = group_bounds(&bytes, leaf_starts);
@@ -181,13 +193,13 @@ impl QuantizedBoxes {
 
     /// Whether these are the boxes of so many leaves and items.
     pub(super) fn are_as_many_as(&self, n_leaves: usize, n_items: usize) -> bool {
-        self.bytes.len() == 6 * n_items + PADDING
-            && self.group_bytes.len() == 6 * first_group(n_leaves as u32, n_items) + PADDING
+        self.bytes.len() == 6 * box_number(n_leaves as u32, n_items) + PADDING
+            && self.group_bytes.len() == 6 * group_number(n_leaves as u32, n_items) + PADDING
     }
 
     /// Bounds of a leaf's triangles within its cube, in finest cells.
     pub(crate) fn leaf_bounds(&self, leaf: u32, cube: LeafCube, items: Range<usize>) -> Bounds {
-        let (first, n) = (6 * first_group(leaf, items.start), items.len().div_ceil(GROUP));
+        let (first, n) = (6 * group_number(leaf, items.start), items.len().div_ceil(ITEMS_PER_GROUP));
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for group in 0..n {
             let (row_group, n_in_row) = (group / GROUP * GROUP, (n - group / GROUP * GROUP).min(GROUP));
@@ -203,30 +215,33 @@ impl QuantizedBoxes {
     }
 
     #[inline(always)]
-    pub(crate) fn prefetch<S: Simd>(&self, items: Range<usize>) {
-        let mut at = 6 * items.start;
-        while at < 6 * items.end {
+    pub(crate) fn prefetch<S: Simd>(&self, leaf: u32, items: Range<usize>) {
+        let mut at = 6 * box_number(leaf, items.start);
+        let end = at + 6 * items.len().div_ceil(ITEMS_PER_BOX);
+        while at < end {
             S::prefetch(&self.bytes, at);
             at += 64;
         }
     }
 
-    /// The boxes of a group of `n` items from `first` on.
+    /// The boxes of a group of a leaf, which has these items.
     #[inline(always)]
-    pub(crate) fn group(&self, first: usize, n: usize) -> GroupBytes<'_> {
-        GroupBytes { bytes: &self.bytes[6 * first..6 * (first + n) + PADDING], n }
+    pub(crate) fn group(&self, leaf: u32, items: Range<usize>) -> GroupBytes<'_> {
+        let BoxBytes { bytes, n } = self.of_leaf(leaf, items);
+        GroupBytes { bytes, n }
     }
 
     /// The boxes of a leaf with these items.
     #[inline(always)]
-    pub(crate) fn of_leaf(&self, items: Range<usize>) -> BoxBytes<'_> {
-        BoxBytes { bytes: &self.bytes[6 * items.start..6 * items.end + PADDING], n: items.len() }
+    pub(crate) fn of_leaf(&self, leaf: u32, items: Range<usize>) -> BoxBytes<'_> {
+        let (first, n) = (box_number(leaf, items.start), items.len().div_ceil(ITEMS_PER_BOX));
+        BoxBytes { bytes: &self.bytes[6 * first..6 * (first + n) + PADDING], n }
     }
 
     /// The bounds of the groups of a leaf with these items.
     #[inline(always)]
     pub(crate) fn of_groups(&self, leaf: u32, items: Range<usize>) -> BoxBytes<'_> {
-        let (first, n) = (first_group(leaf, items.start), items.len().div_ceil(GROUP));
+        let (first, n) = (group_number(leaf, items.start), items.len().div_ceil(ITEMS_PER_GROUP));
         BoxBytes { bytes: &self.group_bytes[6 * first..6 * (first + n) + PADDING], n }
     }
 }
@@ -352,23 +367,23 @@ pub(crate) fn leaf_cubes(dims: [u32; 3], bricks: &[u32], nodes: &[TreeNode], n_l
     leaf_cubes
 }
 
-/// Writes the quantised boxes of a leaf's triangles, rounded outward.
-fn measure(
-    space: &CellSpace,
-    cube: LeafCube,
-    mesh: &TracedMesh,
-    triangles: impl ExactSizeIterator<Item = u32>,
-    bytes: &mut [u8],
-) {
+/// Writes the quantised boxes of a leaf's items, rounded outward.
+fn measure(space: &CellSpace, cube: LeafCube, mesh: &TracedMesh, items: &Items, of_leaf: Range<u32>, bytes: &mut [u8]) {
     const ROUNDING: f64 = 1e-3;
     let steps_per_cell = N_STEPS / f64::from(cube.size());
     let [x, y, z, _] = cube.corner();
     let corner = UVec3::new(x, y, z).as_dvec3();
-    let n = triangles.len();
-    for (index, triangle) in triangles.enumerate() {
-        let [a, b, c] = mesh.corners(triangle).map(|corner| space.point_to_cells(Vec3::from_array(corner).as_dvec3()));
-        let low = ((a.min(b).min(c) - corner) * steps_per_cell + (FIRST_STEP - ROUNDING)).floor();
-        let high = ((a.max(b).max(c) - corner) * steps_per_cell + (FIRST_STEP + ROUNDING)).ceil();
+    let n = of_leaf.len().div_ceil(ITEMS_PER_BOX);
+    for (index, first) in of_leaf.clone().step_by(ITEMS_PER_BOX).enumerate() {
+        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for item in (first..of_leaf.end).take(ITEMS_PER_BOX) {
+            for point in mesh.corners(items.triangle(item)) {
+                let point = space.point_to_cells(Vec3::from_array(point).as_dvec3());
+                (low, high) = (low.min(point), high.max(point));
+            }
+        }
+        let low = ((low - corner) * steps_per_cell + (FIRST_STEP - ROUNDING)).floor();
+        let high = ((high - corner) * steps_per_cell + (FIRST_STEP + ROUNDING)).ceil();
         // Conversions saturate: sides outside the cube get the ends of a byte's range.
         let sides = [0, 1, 2].map(|axis| [low[axis] as u8, high[axis] as u8]);
         write_box(bytes, n, index, sides);
@@ -387,14 +402,15 @@ fn write_box(bytes: &mut [u8], n: usize, index: usize, sides: [[u8; 2]; 3]) {
 /// The bounds of all groups.
 fn group_bounds(bytes: &[u8], leaf_starts: &[u32]) -> Vec<u8> {
     let n_leaves = leaf_starts.len() as u32 - 1;
-    let mut group_bytes = vec![0; 6 * first_group(n_leaves, leaf_starts[n_leaves as usize] as usize) + PADDING];
+    let mut group_bytes = vec![0; 6 * group_number(n_leaves, leaf_starts[n_leaves as usize] as usize) + PADDING];
     for leaf in 0..n_leaves {
         let (start, end) = (leaf_starts[leaf as usize] as usize, leaf_starts[leaf as usize + 1] as usize);
-        let n_groups = (end - start).div_ceil(GROUP);
-        let of_leaf = &mut group_bytes[6 * first_group(leaf, start)..];
+        let n_boxes = (end - start).div_ceil(ITEMS_PER_BOX);
+        let n_groups = n_boxes.div_ceil(GROUP);
+        let of_leaf = &mut group_bytes[6 * group_number(leaf, start)..];
         for group in 0..n_groups {
-            let first = start + group * GROUP;
-            let n_in_group = (end - first).min(GROUP);
+            let first = box_number(leaf, start) + group * GROUP;
+            let n_in_group = (n_boxes - group * GROUP).min(GROUP);
             let row = |side: usize| bytes[6 * first + side * n_in_group..][..n_in_group].iter().copied();
             let sides =
                 [0, 1, 2].map(|axis| [row(2 * axis).min().unwrap_or(u8::MAX), row(2 * axis + 1).max().unwrap_or(0)]);

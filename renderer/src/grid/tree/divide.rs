@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use crate::grid::tree::{
     BRICK_SIZE, LEVELS, Tree, TreeNode,
-    boxes::GROUP,
+    boxes::ITEMS_PER_BOX,
     overlap::{self, DILATION},
     scatter::Scatter,
 };
@@ -121,12 +121,12 @@ impl Builder<'_> {
         }
     }
 
-    /// Adds a leaf. Its references follow a Morton curve through the cell, so that those of a group of boxes are close.
+    /// Adds a leaf. Its references follow a Morton curve through the cell, so that those of a box, and the boxes of a group, are close.
     fn push_leaf(&self, part: &mut TreePart, cell: &BuildCell, references: &[u32]) {
         let first = part.references.len();
         part.references.extend_from_slice(references);
         part.leaf_ends.push(part.references.len() as u32);
-        if references.len() > GROUP {
+        if references.len() > ITEMS_PER_BOX {
             let scale = 16.0 / f64::from(cell.size());
             let corner = DVec3::from_array(cell.corner.map(f64::from));
             let key = |&triangle: &u32| {
