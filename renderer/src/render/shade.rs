@@ -138,7 +138,7 @@ impl<'a> Shader<'a> {
         unsafe { instructions.call(Surfaces { mesh: self.mesh, rays, hits, surfaces, footprints }) }
     }
 
-    /// A cap, which faces the cut.
+    /// The surface of a cap, on the side of the eye.
     #[inline]
     pub(super) fn cap(&self, direction: Vec3) -> Surface {
         let to_eye = -normalize_or_zero(direction.as_dvec3());
