@@ -222,18 +222,19 @@ fn check_flood(waits_for_welcome: bool, opening: impl Fn(usize) -> Vec<u8> + Syn
             }
         }
     };
-    let (elapsed, n_ticks) = thread::scope(|scope| {
+    let (elapsed, n_connections) = thread::scope(|scope| {
+        let started_at = Instant::now();
         (0..3).for_each(|_| drop(scope.spawn(flood)));
-        // Without render servers, the wall has nothing else to do.
-        let (started_at, ticks_before) = (Instant::now(), wall.program.ticks());
         thread::sleep(Duration::from_secs(if n_nodes() > 64 { 20 } else { 3 }));
-        let (elapsed, n_ticks) = (started_at.elapsed(), wall.program.ticks() - ticks_before);
+        let (elapsed, n_connections) = (started_at.elapsed(), number.load(Relaxed));
         let _honest = wall.join("honest");
         wait_until("an honest node renders", || wall.program.count("frame shown") > 2);
         is_over.store(true, Relaxed);
-        (elapsed, n_ticks)
+        (elapsed, n_connections)
     });
-    assert!(n_ticks < elapsed.as_millis() as u64 / 30, "{n_ticks} hundredths of a second in {elapsed:?}: over a third");
+    // Those of four farms of 512 at once, two a millisecond afterwards, and those that the system queues.
+    let most = 2048 + 2 * elapsed.as_millis() as usize + 1024;
+    assert!(n_connections < most + 100, "{n_connections} connections in {elapsed:?}, in place of {most}");
     let said = wall.program.said();
     let n_lines = said.lines().filter(|line| !line.contains("frame shown")).count();
     // A farm's worth at once, and few afterwards.
@@ -242,14 +243,14 @@ fn check_flood(waits_for_welcome: bool, opening: impl Fn(usize) -> Vec<u8> + Syn
 
 #[test]
 #[cfg(target_os = "linux")]
-fn nodes_that_flap_cost_little_time_and_few_lines_and_keep_nobody_out() {
+fn nodes_that_flap_are_slowed_down_cost_few_lines_and_keep_nobody_out() {
     check_flood(false, |number| hello(&format!("flapping-{}", number % 3)));
     check_flood(true, |number| hello(&format!("flapping-{number}")));
 }
 
 #[test]
 #[cfg(target_os = "linux")]
-fn strangers_cost_little_time_and_few_lines_and_keep_nobody_out() {
+fn strangers_are_slowed_down_cost_few_lines_and_keep_nobody_out() {
     check_flood(false, |number| hello(&format!("hasty-{number}")));
     check_flood(false, |number| [format!("{number} /").as_bytes(), &[number as u8; 20]].concat());
 }
