@@ -97,16 +97,6 @@ pub(crate) fn consecutive(first: u32) -> [u32; 16] {
     numbers
 }
 
-/// Every second number from `first` on, as [`consecutive`].
-#[inline(always)]
-pub(crate) fn every_second(first: u32) -> [u32; 16] {
-    let mut numbers = [0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30];
-    for number in &mut numbers {
-        *number = first.wrapping_add(*number);
-    }
-    numbers
-}
-
 /// An instruction set: a vector of [`Simd::LANES`] single-precision numbers, and operations on vectors and slices.
 pub(crate) trait Simd: Copy {
     /// Number of lanes: 8 or 16.
@@ -128,14 +118,20 @@ pub(crate) trait Simd: Copy {
     fn splat(x: f32) -> Self;
     /// Loads the first [`Simd::LANES`] numbers of a slice.
     fn load(from: &[f32]) -> Self;
-    /// Loads the first [`Simd::LANES`] numbers of a slice, converted to `f32`.
-    fn load_bytes(from: &[u8]) -> Self;
-    /// [`Simd::load_bytes`] without a check: with checks, rays that go alone take a fifth more instructions.
+    /// Loads [`Simd::LANES`] numbers, converted to `f32`, without a check: with checks, rays that go alone take a fifth more
+    /// instructions.
     ///
     /// # Safety
     ///
     /// [`Simd::LANES`] bytes can be read.
     unsafe fn load_bytes_at(from: *const u8) -> Self;
+    /// Loads the halves of [`Simd::LANES`] bytes, converted to `f32`, without a check, as above: first those from bit `shift`
+    /// on, 0 or 4, then the others.
+    ///
+    /// # Safety
+    ///
+    /// [`Simd::LANES`] bytes can be read.
+    unsafe fn load_halves_at(from: *const u8, shift: u32) -> [Self; 2];
     /// Writes all lanes to the beginning of a slice.
     fn store(self, to: &mut [f32]);
     /// Takes each lane from `yes` where its bit is set in `mask`, else from `no`.
@@ -236,7 +232,14 @@ impl Simd for Portable {
     #[inline(always)]
     unsafe fn load_bytes_at(from: *const u8) -> Self {
         // SAFETY: the caller's.
-        Self::load_bytes(unsafe { std::slice::from_raw_parts(from, Self::LANES) })
+        let bytes = unsafe { std::slice::from_raw_parts(from, Self::LANES) };
+        Self(std::array::from_fn(|lane| f32::from(bytes[lane])))
+    }
+    #[inline(always)]
+    unsafe fn load_halves_at(from: *const u8, shift: u32) -> [Self; 2] {
+        // SAFETY: the caller's.
+        let bytes = unsafe { std::slice::from_raw_parts(from, Self::LANES) };
+        [shift, 4 - shift].map(|shift| Self(std::array::from_fn(|lane| f32::from(bytes[lane] >> shift & 15))))
     }
     #[inline(always)]
     fn compress_to(self, mask: u32, to: &mut [f32]) -> usize {
@@ -270,7 +273,6 @@ impl Simd for Portable {
         fn store(self, to: &mut [f32]) -> () = to[..8].copy_from_slice(&self.0);
         fn splat(x: f32) -> Self = Self([x; 8]);
         fn load(from: &[f32]) -> Self = Self(std::array::from_fn(|lane| from[lane]));
-        fn load_bytes(from: &[u8]) -> Self = Self(std::array::from_fn(|lane| f32::from(from[lane])));
         fn load_bits(from: &[u32]) -> Self = Self(std::array::from_fn(|lane| f32::from_bits(from[lane])));
         fn reflect(self, flip: u32) -> Self = Self(std::array::from_fn(|lane| self.0[lane ^ (flip & 7) as usize]));
         fn eq_mask(numbers: &[u32], number: u32) -> u32 =
@@ -322,6 +324,40 @@ mod tests {
                 let expected = (0..S::LANES).filter(|lane| mask >> lane & 1 == 1).map(|lane| numbers[lane]);
                 assert!(expected.eq(kept[..n].iter().copied()), "{mask:b}");
             }
+        }
+    }
+
+    /// Loads every byte, whole and in halves, and compares with conversions of numbers.
+    struct LoadsBytes;
+
+    impl Kernel for LoadsBytes {
+        type Output = ();
+        #[inline(always)]
+        fn run<S: Simd>(self) {
+            let bytes: [u8; 256] = std::array::from_fn(|byte| byte as u8);
+            let mut lanes = [0.0; 16];
+            for of_vector in bytes.chunks_exact(S::LANES) {
+                // SAFETY: a chunk has as many bytes as a vector has lanes.
+                let whole = unsafe { S::load_bytes_at(of_vector.as_ptr()) };
+                whole.store(&mut lanes);
+                assert!((0..S::LANES).all(|lane| lanes[lane] == f32::from(of_vector[lane])));
+                for shift in [0, 4] {
+                    // SAFETY: as above.
+                    let halves = unsafe { S::load_halves_at(of_vector.as_ptr(), shift) };
+                    for (half, from) in halves.into_iter().zip([shift, 4 - shift]) {
+                        half.store(&mut lanes);
+                        assert!((0..S::LANES).all(|lane| lanes[lane] == f32::from(of_vector[lane] >> from & 15)));
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn bytes_load_alike_on_every_instruction_set() {
+        for instructions in InstructionSet::available() {
+            // SAFETY: they are available.
+            unsafe { instructions.call(LoadsBytes) };
         }
     }
 

@@ -25,7 +25,7 @@ use crate::{
 /// Bytes of a triangle in a tree's leaf, with its part of leaves and nodes; guests take less.
 const TREE_BYTES_PER_REFERENCE: u64 = TracedMesh::BYTES_PER_TRIANGLE + 1;
 
-/// Bytes of its part of a box, and of the hierarchy; they are made after the loaded mesh is dropped.
+/// Bytes of its box, with its part of groups and the hierarchy; they are made after the loaded mesh is dropped.
 const BOX_BYTES_PER_REFERENCE: u64 = 4;
 
 /// Bytes of the program before it has a scene.

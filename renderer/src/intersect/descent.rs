@@ -5,7 +5,7 @@
 
 use crate::{
     grid::tree::{
-        boxes::{self, GroupBytes, LeafCube},
+        boxes::{self, GroupBatch, GroupBoxes, LeafCube},
         hierarchy::{self, CHILDREN, Entry, HierarchyNode, SLOT_BITS},
     },
     intersect::starts::RayStarts,
@@ -139,10 +139,40 @@ impl Descent {
         slabs
     }
 
-    /// A bit for each box of a group that the ray passes.
+    /// A bit for each group of a leaf, from number `first` on, whose bounds the ray passes, and the maps of all.
     #[inline(always)]
-    pub(super) fn passed_boxes<S: Simd>(&self, slabs: &Slabs, boxes: GroupBytes<'_>, first: usize) -> u32 {
-        let (s_near, s_far) = slabs.range::<S>(boxes.sides(self.sides(), first), self.s_range);
+    pub(super) fn passed_groups<S: Simd>(
+        &self,
+        of_leaf: &Slabs,
+        groups: GroupBatch<'_>,
+        first: usize,
+    ) -> (u32, GroupSlabs<S>) {
+        let rows = groups.rows::<S>(self.sides(), first);
+        let mut slabs = GroupSlabs([S::splat(0.0); 9]);
+        let (mut s_near, mut s_far) = (S::splat(self.s_range[0]), S::splat(self.s_range[1]));
+        for axis in 0..3 {
+            let (near, far, step) = (rows[2 * axis], rows[2 * axis + 1], of_leaf.step[axis]);
+            let near_s = near.mul_add(S::splat(step), S::splat(of_leaf.near[axis]));
+            let far_s = far.mul_add(S::splat(step), S::splat(of_leaf.far[axis]));
+            let group_step = far.sub(near).mul(S::splat(step * (1.0 / f32::from(boxes::N_GROUP_STEPS))));
+            (slabs.0[3 * axis], slabs.0[3 * axis + 1], slabs.0[3 * axis + 2]) = (near_s, far_s, group_step);
+            s_near = s_near.max(near_s);
+            s_far = s_far.min(far_s);
+        }
+        (s_near.le(s_far) & groups.mask() >> first, slabs)
+    }
+
+    /// A bit for each box of a group, from number `first` on, that the ray passes.
+    #[inline(always)]
+    pub(super) fn passed_boxes<S: Simd>(&self, slabs: &GroupSlabs<f32>, boxes: GroupBoxes<'_>, first: usize) -> u32 {
+        let (mut s_near, mut s_far) = (S::splat(self.s_range[0]), S::splat(self.s_range[1]));
+        for axis in 0..3 {
+            let is_backward = self.ahead & SLOT_BITS[axis] == 0;
+            let [from_near, from_far] = boxes.steps::<S>(axis, is_backward, first);
+            let [near, far, step] = [slabs.0[3 * axis], slabs.0[3 * axis + 1], slabs.0[3 * axis + 2]];
+            s_near = s_near.max(from_near.mul_add(S::splat(step), S::splat(near)));
+            s_far = s_far.min(from_far.neg_mul_add(S::splat(step), S::splat(far)));
+        }
         s_near.le(s_far) & boxes.mask() >> first
     }
 
@@ -197,6 +227,10 @@ impl Slabs {
         (s_near, s_far)
     }
 }
+
+/// Maps from steps along the bounds of a group, one a lane, to s. For each axis: s at the near side, s at the far side, and s
+/// over a step, up from the near side and down from the far side.
+pub(super) struct GroupSlabs<T>(pub(super) [T; 9]);
 
 /// The next greater number, or one a little greater.
 #[inline(always)]

@@ -28,7 +28,7 @@ use crate::simd::{Avx2, Avx512};
 use crate::{
     grid::{
         Grid, Structure,
-        tree::{BRICK_SIZE, LEVELS, Tree, boxes::LeafBoxes},
+        tree::{BRICK_SIZE, LEVELS, Tree, boxes::LeafGroups},
     },
     intersect::ray::{Hit, Ray, major_axis},
     simd::{InstructionSet, Portable},
@@ -340,7 +340,7 @@ impl Tree {
         for leaf in &*leaves {
             let items = self.items_of(leaf.number);
             self.items.prefetch::<S>(items.start);
-            self.boxes.prefetch::<S>(leaf.number, items);
+            self.boxes.prefetch::<S>(items);
         }
 
         // Gather the triangles whose boxes some ray may pass.
@@ -350,15 +350,14 @@ impl Tree {
             for local_axis in 0..3 {
                 corner_from_origin[local_axis] = f64::from(leaf.low[local_axis]) - origin[local_axis];
             }
-            let bytes = self.boxes.of_leaf(leaf.number, items.clone());
-            let boxes = LeafBoxes::new(
-                bytes,
+            let groups = LeafGroups::new(
+                self.boxes.of_groups(leaf.number, items.clone()),
                 culler.ray_bounds.axes,
                 culler.ray_bounds.sign < 0.0,
                 corner_from_origin,
                 leaf.size,
             );
-            culler.gather::<S>(&boxes, items, &leaf.rays);
+            culler.gather::<S>(&groups, &self.boxes, items, &leaf.rays);
         }
         culler.find_triangles::<S>();
         leaves.clear();

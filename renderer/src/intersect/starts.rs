@@ -12,8 +12,8 @@ use crate::{
     simd::Real,
 };
 
-/// Rounding errors of positions and distances in a grid, relative to its extent: eight roundings of `f32`.
-const RELATIVE_MARGIN: f64 = 8.0 / (1 << 24) as f64;
+/// Rounding errors of positions and distances in a grid, relative to its extent: ten roundings of `f32`.
+const RELATIVE_MARGIN: f64 = 10.0 / (1 << 24) as f64;
 
 /// Rounding errors that do not depend on the extent, in finest cells.
 const MARGIN: f64 = 1.0 / 1024.0;

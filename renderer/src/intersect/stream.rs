@@ -4,7 +4,7 @@
 //! Here each of [`N_SLOTS`] rays takes one step at a time, and rays that need the same step take it one after the other, so
 //! that a processor overlaps their steps. Their triangles are decided together, with all lanes full.
 
-use std::{cell::Cell, ops::Range};
+use std::cell::Cell;
 
 use glam::Vec3;
 
@@ -13,12 +13,12 @@ use crate::{
         Grid,
         tree::{
             Tree,
-            boxes::{GROUP, GroupBytes, ITEMS_PER_BOX, ITEMS_PER_GROUP},
+            boxes::{GROUP, GroupBatch, GroupBoxes},
             hierarchy::{CHILDREN, Entry, HierarchyNode, LEAF, NONE},
         },
     },
     intersect::{
-        descent::{Descent, Slabs},
+        descent::{Descent, GroupSlabs, Slabs},
         ray::Ray,
         rays::Nearest,
         starts::RayStarts,
@@ -44,16 +44,15 @@ struct Slot {
     ray: Ray,
     descent: Descent,
     nearest: Nearest,
-    /// Of the present leaf: its boxes along the ray, and its items, from the first group that is collected on.
-    slabs: Slabs,
+    /// Of the present leaf.
     items: [u32; 2],
 }
 
 impl Slot {
     fn new() -> Self {
         let ray = Ray { origin: Vec3::ZERO, direction: Vec3::ZERO, t_min: 0.0, t_max: 0.0 };
-        let (descent, nearest, slabs) = Default::default();
-        Self { ray_idx: 0, ray, descent, nearest, slabs, items: [0; 2] }
+        let (descent, nearest) = Default::default();
+        Self { ray_idx: 0, ray, descent, nearest, items: [0; 2] }
     }
 }
 
@@ -98,38 +97,34 @@ struct Pairs {
 impl Pairs {
     const EMPTY: Self = Self { slots: [0; ROOM], indices: [0; ROOM], n: 0 };
 
-    /// Appends the pairs of a slot with those boxes that its ray passes, by their number in the group. Returns how many there
-    /// are.
+    /// Appends the pairs of a slot with those items of a group that its ray passes, which are numbered from `first_index` on.
+    /// Returns how many there are.
     #[inline(always)]
-    fn push_passed<S: Simd>(&mut self, slot: u32, descent: &Descent, slabs: &Slabs, boxes: GroupBytes<'_>) -> usize {
-        let n_before = self.n % (2 * N_COLLECTED);
-        let mut n = n_before;
+    fn push_items<S: Simd>(
+        &mut self,
+        slot: u32,
+        descent: &Descent,
+        slabs: &GroupSlabs<f32>,
+        boxes: GroupBoxes<'_>,
+        first_index: u32,
+    ) -> usize {
+        let mut n = 0;
         for first in (0..GROUP).step_by(S::LANES) {
             let passed = descent.passed_boxes::<S>(slabs, boxes, first);
-            let at = n % (2 * N_COLLECTED);
-            self.slots[at..][..S::LANES].fill(slot);
-            let indices = S::load_bits(&consecutive(first as u32));
-            n += indices.compress_bits_to(passed, &mut self.indices[at..]);
+            n += self.push_passed::<S>(slot, passed, first_index + first as u32);
         }
-        self.n = n;
-        n - n_before
+        n
     }
 
-    /// Makes pairs of items out of the last `n_boxes`, of boxes of a group with these items. Returns how many there are.
+    /// Appends the pairs of a slot with the numbers from `first_index` on that have a bit in `passed`. Returns how many there
+    /// are.
     #[inline(always)]
-    fn boxes_to_items(&mut self, n_boxes: usize, of_group: Range<u32>) -> usize {
-        let end = self.n % (2 * N_COLLECTED);
-        let (first, mut n) = (end - n_boxes, end);
-        for index in first..end {
-            let item = of_group.start + ITEMS_PER_BOX as u32 * self.indices[index];
-            self.indices[index] = item;
-            let at = n % (2 * N_COLLECTED);
-            (self.slots[at], self.indices[at]) = (self.slots[index], item + 1);
-            // The leaf's last box may have one item.
-            n += usize::from(item + 1 < of_group.end);
-        }
-        self.n = n;
-        n - first
+    fn push_passed<S: Simd>(&mut self, slot: u32, passed: u32, first_index: u32) -> usize {
+        let at = self.n % (2 * N_COLLECTED);
+        self.slots[at..][..S::LANES].fill(slot);
+        let n = S::load_bits(&consecutive(first_index)).compress_bits_to(passed, &mut self.indices[at..]);
+        self.n = at + n;
+        n
     }
 
     /// Appends the pairs of a slot with those children of a node that its ray passes. Returns how many there are.
@@ -154,6 +149,47 @@ impl Pairs {
     }
 }
 
+/// Groups of boxes that rays may pass, counted in the slot's leaf.
+struct Groups {
+    pairs: Pairs,
+    /// The maps of each: see [`GroupSlabs`].
+    slabs: [[f32; ROOM]; 9],
+}
+
+impl Groups {
+    const EMPTY: Self = Self { pairs: Pairs::EMPTY, slabs: [[0.0; ROOM]; 9] };
+
+    /// Appends those of a batch that the ray of a slot passes, which are numbered from `first_index` on.
+    #[inline(always)]
+    fn push_passed<S: Simd>(
+        &mut self,
+        slot: u32,
+        descent: &Descent,
+        of_leaf: &Slabs,
+        batch: GroupBatch<'_>,
+        first_index: u32,
+    ) {
+        for first in (0..GROUP).step_by(S::LANES) {
+            let (passed, slabs) = descent.passed_groups::<S>(of_leaf, batch, first);
+            let at = self.pairs.n % (2 * N_COLLECTED);
+            for number in 0..9 {
+                slabs.0[number].compress_to(passed, &mut self.slabs[number][at..]);
+            }
+            self.pairs.push_passed::<S>(slot, passed, first_index + first as u32);
+        }
+    }
+
+    /// The maps of the one at an index.
+    #[inline(always)]
+    fn slabs(&self, index: usize) -> GroupSlabs<f32> {
+        let mut slabs = GroupSlabs([0.0; 9]);
+        for number in 0..9 {
+            slabs.0[number] = self.slabs[number][index % ROOM];
+        }
+        slabs
+    }
+}
+
 /// The state of a stream. Making it takes longer than tracing a ray, so each thread keeps one.
 struct State {
     slots: [Slot; N_SLOTS],
@@ -164,8 +200,7 @@ struct State {
     directions: [f32; 3 * N_SLOTS + 3],
     /// The rays that begin next.
     starts: RayStarts,
-    /// Groups of boxes that rays may pass, counted in the slot's leaf.
-    groups: Pairs,
+    groups: Groups,
     /// Triangles that rays may hit, or items of leaves.
     triangles: Pairs,
 }
@@ -179,7 +214,7 @@ impl State {
             origins: coordinates,
             directions: coordinates,
             starts: RayStarts::default(),
-            groups: Pairs::EMPTY,
+            groups: Groups::EMPTY,
             triangles: Pairs::EMPTY,
         })
     }
@@ -335,17 +370,17 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
         // A leaf's groups are collected sixteen at a time, and tested when many are.
         let (mut next, mut first) = (0, 0);
         while next < slots.len() {
-            while next < slots.len() && !self.state.groups.is_full() {
+            while next < slots.len() && !self.state.groups.pairs.is_full() {
                 let slot_idx = slots[next] as usize % N_SLOTS;
                 let leaf = self.state.entries[slot_idx] & !LEAF;
-                let Slot { descent, slabs, items, .. } = &mut self.state.slots[slot_idx];
+                let Slot { descent, items, .. } = &mut self.state.slots[slot_idx];
                 let of_leaf = self.tree.items_of(leaf);
-                let n_groups = of_leaf.len().div_ceil(ITEMS_PER_GROUP);
-                *slabs = descent.leaf_slabs(self.tree.leaf_cubes[leaf as usize]);
-                *items = [(of_leaf.start + first * ITEMS_PER_GROUP) as u32, of_leaf.end as u32];
+                let n_groups = of_leaf.len().div_ceil(GROUP);
+                let of_leaf_cube = descent.leaf_slabs(self.tree.leaf_cubes[leaf as usize]);
+                *items = [of_leaf.start as u32, of_leaf.end as u32];
                 self.tree.items.prefetch::<S>(of_leaf.start);
-                let groups = self.tree.boxes.of_groups(leaf, of_leaf).group(first);
-                self.state.groups.push_passed::<S>(slots[next], descent, slabs, groups);
+                let batch = self.tree.boxes.of_groups(leaf, of_leaf).batch(first);
+                self.state.groups.push_passed::<S>(slots[next], descent, &of_leaf_cube, batch, first as u32);
                 let is_last = first + GROUP >= n_groups;
                 first = if is_last { 0 } else { first + GROUP };
                 next += usize::from(is_last);
@@ -360,16 +395,14 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
     /// Tests the boxes of all groups.
     #[inline(always)]
     fn test_groups<S: Simd>(&mut self) {
-        for index in 0..std::mem::take(&mut self.state.groups.n) {
-            let slot_idx = self.state.groups.slots[index];
+        for index in 0..std::mem::take(&mut self.state.groups.pairs.n) {
+            let slot_idx = self.state.groups.pairs.slots[index];
             let slot = &mut self.state.slots[slot_idx as usize];
-            let [first_of_groups, end] = slot.items;
-            let leaf = self.state.entries[slot_idx as usize % N_SLOTS] & !LEAF;
-            let first = first_of_groups + self.state.groups.indices[index] * ITEMS_PER_GROUP as u32;
-            let of_group = first..end.min(first + ITEMS_PER_GROUP as u32);
-            let boxes = self.tree.boxes.group(leaf, of_group.start as usize..of_group.end as usize);
-            let n_boxes = self.state.triangles.push_passed::<S>(slot_idx, &slot.descent, &slot.slabs, boxes);
-            let n = self.state.triangles.boxes_to_items(n_boxes, of_group);
+            let [start, end] = slot.items.map(|item| item as usize);
+            let first = start + self.state.groups.pairs.indices[index] as usize * GROUP;
+            let boxes = self.tree.boxes.group(first, (end - first).min(GROUP));
+            let slabs = self.state.groups.slabs(index);
+            let n = self.state.triangles.push_items::<S>(slot_idx, &slot.descent, &slabs, boxes, first as u32);
             slot.nearest.cost.n_tests += n as u32;
             if self.state.triangles.is_full() {
                 self.decide_items::<S>();

@@ -88,6 +88,19 @@ impl Simd for Avx2 {
         unsafe { Self(_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64(from.cast())))) }
     }
     #[inline(always)]
+    unsafe fn load_halves_at(from: *const u8, shift: u32) -> [Self; 2] {
+        // SAFETY: as above, and the caller's.
+        unsafe {
+            let (bytes, lower) = (_mm256_cvtepu8_epi32(_mm_loadl_epi64(from.cast())), _mm256_set1_epi32(15));
+            let first = _mm256_srlv_epi32(bytes, _mm256_set1_epi32(shift as i32));
+            let other = _mm256_srlv_epi32(bytes, _mm256_set1_epi32(4 - shift as i32));
+            [
+                Self(_mm256_cvtepi32_ps(_mm256_and_si256(first, lower))),
+                Self(_mm256_cvtepi32_ps(_mm256_and_si256(other, lower))),
+            ]
+        }
+    }
+    #[inline(always)]
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all vertices are there.
         unsafe {
@@ -138,8 +151,6 @@ impl Simd for Avx2 {
     intrinsics! {
         fn splat(x: f32) -> Self = Self(_mm256_set1_ps(x));
         fn load(from: &[f32]) -> Self = Self(_mm256_loadu_ps(first::<8, _>(from).as_ptr()));
-        fn load_bytes(from: &[u8]) -> Self =
-            Self(_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64(first::<8, _>(from).as_ptr().cast()))));
         fn load_bits(from: &[u32]) -> Self = Self(_mm256_loadu_ps(first::<8, _>(from).as_ptr().cast()));
         fn reflect(self, flip: u32) -> Self = {
             let lanes = _mm256_xor_si256(_mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7), _mm256_set1_epi32(flip as i32));
@@ -220,6 +231,19 @@ impl Simd for Avx512 {
         unsafe { Self(_mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128(from.cast())))) }
     }
     #[inline(always)]
+    unsafe fn load_halves_at(from: *const u8, shift: u32) -> [Self; 2] {
+        // SAFETY: as above, and the caller's.
+        unsafe {
+            let (bytes, lower) = (_mm512_cvtepu8_epi32(_mm_loadu_si128(from.cast())), _mm512_set1_epi32(15));
+            let first = _mm512_srlv_epi32(bytes, _mm512_set1_epi32(shift as i32));
+            let other = _mm512_srlv_epi32(bytes, _mm512_set1_epi32(4 - shift as i32));
+            [
+                Self(_mm512_cvtepi32_ps(_mm512_and_si512(first, lower))),
+                Self(_mm512_cvtepi32_ps(_mm512_and_si512(other, lower))),
+            ]
+        }
+    }
+    #[inline(always)]
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all vertices are there.
         unsafe {
@@ -273,8 +297,6 @@ impl Simd for Avx512 {
     intrinsics! {
         fn splat(x: f32) -> Self = Self(_mm512_set1_ps(x));
         fn load(from: &[f32]) -> Self = Self(_mm512_loadu_ps(first::<16, _>(from).as_ptr()));
-        fn load_bytes(from: &[u8]) -> Self =
-            Self(_mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128(first::<16, _>(from).as_ptr().cast()))));
         fn load_bits(from: &[u32]) -> Self = Self(_mm512_loadu_ps(first::<16, _>(from).as_ptr().cast()));
         fn reflect(self, flip: u32) -> Self = {
             let lanes = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);

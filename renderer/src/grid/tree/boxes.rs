@@ -1,9 +1,9 @@
 //! Quantised bounds of the triangles in each leaf: most triangles are rejected without reading their vertices.
 //!
-//! Two triangles share a box: in scans those that follow each other are mostly the halves of a quadrangle, whose bounds are
-//! hardly larger than those of one. Six bytes a box: bounds within the leaf's cube, in steps of a 250th of the cube. A box
-//! holds the parts of its triangles inside the cube, so a ray that hits one there passes the box. Vertices lie
-//! far apart in memory; in a scan seen from afar nearly all boxes lie between the rays.
+//! Every sixteen triangles of a leaf have common bounds, in steps of a 250th of the leaf's cube, and each triangle has three
+//! bytes more: its own, in steps of a 15th of the common ones. A box holds the part of its triangle inside the cube, so a ray
+//! that hits the triangle there passes the box. Vertices lie far apart in memory; in a scan seen from afar nearly all boxes lie
+//! between the rays.
 
 use std::ops::Range;
 
@@ -28,88 +28,84 @@ pub(crate) const N_STEPS: f64 = 250.0;
 /// Value of the cube's lower side.
 pub(crate) const FIRST_STEP: f64 = 3.0;
 
+/// Steps along the bounds of a group.
+pub(crate) const N_GROUP_STEPS: u8 = 15;
+
 /// Rounding error of box tests in single precision, relative to the distances from the ray's origin.
 const MARGIN: f32 = 1.0 / (1u32 << 19) as f32;
 
 /// Bytes after the last box, so that a vector can be loaded from there.
 const PADDING: usize = 16;
 
-/// Items that share a box.
-pub(crate) const ITEMS_PER_BOX: usize = 2;
-
-/// Boxes of a group: of neighbours in space, side by side.
+/// Triangles of a group: neighbours in space, whose boxes lie side by side.
 pub(crate) const GROUP: usize = 16;
-
-/// Items of a group.
-pub(crate) const ITEMS_PER_GROUP: usize = ITEMS_PER_BOX * GROUP;
 
 /// The boxes of all leaves, in their order, and of groups of them.
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct QuantizedBoxes {
-    /// A leaf's groups follow each other. A group of n boxes from number r on has 6·n bytes from index 6·r on: n least
-    /// x, n greatest x, then y and z. The leaf's first is [`box_number`].
+    /// A leaf's groups follow each other. A group of n items from number r on has 3·n bytes from index 3·r on, a row of n for
+    /// each axis. The lower half of a byte counts steps up from the group's least side, the upper half steps down from its
+    /// greatest.
     #[serde(skip)]
     bytes: Section<u8>,
-    /// Bounds of each group, in the same form: a leaf with n groups has 6·n bytes from index 6·[`group_number`] on.
+    /// Bounds of each group. A leaf with n groups has 6·n bytes from index 6·[`first_group`] on; every 16 groups, the last of
+    /// fewer, have a row for each side: least x, greatest x, then y and z.
     #[serde(skip)]
     group_bytes: Section<u8>,
 }
 
-/// The number of the box in which an item of a leaf is the first. No leaf has more boxes than lie before the next's.
+/// Index of a leaf's first group, if its items begin at `start`. No leaf has more groups than lie before the next's.
 #[inline(always)]
-fn box_number(leaf: u32, item: usize) -> usize {
-    item / ITEMS_PER_BOX + leaf as usize
+fn first_group(leaf: u32, start: usize) -> usize {
+    start / GROUP + leaf as usize
 }
 
-/// The number of the group in which an item of a leaf is the first. No leaf has more groups than lie before the next's.
-#[inline(always)]
-fn group_number(leaf: u32, item: usize) -> usize {
-    item / ITEMS_PER_GROUP + leaf as usize
-}
-
-/// Boxes of a leaf or of its groups: six rows for every 16, the last of fewer.
+/// Bounds of a leaf's groups.
 #[derive(Clone, Copy)]
-pub(crate) struct BoxBytes<'a> {
+pub(crate) struct GroupBounds<'a> {
     /// With [`PADDING`].
     bytes: &'a [u8],
     n: usize,
 }
 
-impl<'a> BoxBytes<'a> {
-    /// The boxes from number `first` on, which begins a group.
+impl<'a> GroupBounds<'a> {
+    /// Those from number `first` on, a multiple of [`GROUP`], at most [`GROUP`] of them.
     #[inline(always)]
-    pub(crate) fn group(&self, first: usize) -> GroupBytes<'a> {
+    pub(crate) fn batch(&self, first: usize) -> GroupBatch<'a> {
         let n = (self.n - first).min(GROUP);
-        GroupBytes { bytes: &self.bytes[6 * first..6 * first + 6 * n + PADDING], n }
+        GroupBatch { bytes: &self.bytes[6 * first..6 * first + 6 * n + PADDING], n }
     }
 
-    /// One side of the boxes from number `first` on: twice the axis, and one more for the greatest side.
+    /// All sides of one group: twice the axis, and one more for the greatest side.
     #[inline(always)]
-    pub(crate) fn side<S: Simd>(&self, side: usize, first: usize) -> S {
-        let group = first / GROUP * GROUP;
-        let n_in_group = (self.n - group).min(GROUP);
-        S::load_bytes(&self.bytes[6 * group + side * n_in_group + (first - group)..])
+    pub(crate) fn sides(&self, group: usize) -> [u8; 6] {
+        let GroupBatch { bytes, n } = self.batch(group / GROUP * GROUP);
+        let mut sides = [0; 6];
+        for side in 0..6 {
+            sides[side] = bytes[side * n + group % GROUP];
+        }
+        sides
     }
 }
 
-/// Boxes of one group.
+/// Bounds of up to [`GROUP`] groups.
 #[derive(Clone, Copy)]
-pub(crate) struct GroupBytes<'a> {
+pub(crate) struct GroupBatch<'a> {
     bytes: &'a [u8],
     n: usize,
 }
 
-impl GroupBytes<'_> {
-    /// A bit for each box.
+impl GroupBatch<'_> {
+    /// A bit for each group.
     #[inline(always)]
     pub(crate) fn mask(&self) -> u32 {
         u32::MAX >> (32 - self.n)
     }
 
-    /// Sides of the boxes from number `first` on, a multiple of [`Simd::LANES`] below [`GROUP`]. A side is below six and
-    /// numbered as in [`BoxBytes::side`]. Lanes beyond the last box are undefined.
+    /// Sides of the groups from number `first` on, a multiple of [`Simd::LANES`] below [`GROUP`]. A side is below six and
+    /// numbered as in [`GroupBounds::sides`]. Lanes beyond the last group are undefined.
     #[inline(always)]
-    pub(crate) fn sides<S: Simd>(&self, sides: [usize; 6], first: usize) -> [S; 6] {
+    pub(crate) fn rows<S: Simd>(&self, sides: [usize; 6], first: usize) -> [S; 6] {
         let mut rows = [S::splat(0.0); 6];
         for row in 0..6 {
             let at = sides[row] * self.n + first;
@@ -118,6 +114,33 @@ impl GroupBytes<'_> {
             rows[row] = unsafe { S::load_bytes_at(self.bytes.as_ptr().add(at)) };
         }
         rows
+    }
+}
+
+/// Boxes of one group.
+#[derive(Clone, Copy)]
+pub(crate) struct GroupBoxes<'a> {
+    /// With [`PADDING`].
+    bytes: &'a [u8],
+    n: usize,
+}
+
+impl GroupBoxes<'_> {
+    /// A bit for each box.
+    #[inline(always)]
+    pub(crate) fn mask(&self) -> u32 {
+        u32::MAX >> (32 - self.n)
+    }
+
+    /// For the boxes from number `first` on, a multiple of [`Simd::LANES`] below [`GROUP`], steps from the group's least side
+    /// up and from its greatest side down, along an axis; in the other order if `is_backward`. Lanes beyond the last box are
+    /// undefined.
+    #[inline(always)]
+    pub(crate) fn steps<S: Simd>(&self, axis: usize, is_backward: bool, first: usize) -> [S; 2] {
+        let at = axis * self.n + first;
+        debug_assert!(axis < 3 && at + S::LANES <= self.bytes.len(), "axis {axis} from {first} on");
+        // SAFETY: row 2 begins n bytes before the padding of 16, so at most 16 bytes from there are in the slice.
+        unsafe { S::load_halves_at(self.bytes.as_ptr().add(at), 4 * u32::from(is_backward)) }
     }
 }
 
@@ -159,26 +182,31 @@ impl QuantizedBoxes {
     ) -> Self {
         const LEAVES_PER_JOB: usize = 1024;
         // Divide the leaves, and the bytes of their boxes, into jobs.
-        let first_box = |leaf: usize| box_number(leaf as u32, leaf_starts[leaf] as usize);
-        let mut bytes = vec![0; 6 * first_box(leaf_cubes.len()) + PADDING];
+        let n_items = leaf_starts.last().map_or(0, |&end| end as usize);
+        let mut bytes = vec![0; 3 * n_items + PADDING];
+        let mut group_bytes = vec![0; 6 * first_group(leaf_cubes.len() as u32, n_items) + PADDING];
+        let first_group_of = |leaf: usize| first_group(leaf as u32, leaf_starts[leaf] as usize);
         let mut jobs = Vec::new();
-        let mut rest = &mut *bytes;
+        let (mut rest, mut rest_of_groups) = (&mut *bytes, &mut *group_bytes);
         for first in (0..leaf_cubes.len()).step_by(LEAVES_PER_JOB) {
             let end = (first + LEAVES_PER_JOB).min(leaf_cubes.len());
-            let (chunk, others) = rest.split_at_mut(6 * (first_box(end) - first_box(first)));
-            jobs.push((first..end, chunk));
-            rest = others;
+            let (chunk, others) = rest.split_at_mut(3 * (leaf_starts[end] - leaf_starts[first]) as usize);
+            let (groups, other_groups) = rest_of_groups.split_at_mut(6 * (first_group_of(end) - first_group_of(first)));
+            jobs.push((first..end, chunk, groups));
+            (rest, rest_of_groups) = (others, other_groups);
         }
 
         // Measure each leaf's triangles.
-        jobs.into_par_iter().for_each(|(leaves, mut bytes)| {
+        jobs.into_par_iter().for_each(|(leaves, mut bytes, mut group_bytes)| {
             for leaf in leaves {
-                let (chunk, others) = bytes.split_at_mut(6 * (first_box(leaf + 1) - first_box(leaf)));
-                bytes = others;
-                measure(space, leaf_cubes[leaf], mesh, items, leaf_starts[leaf]..leaf_starts[leaf + 1], chunk);
+                let of_leaf = leaf_starts[leaf]..leaf_starts[leaf + 1];
+                let (chunk, others) = bytes.split_at_mut(3 * of_leaf.len());
+                let (groups, other_groups) =
+                    group_bytes.split_at_mut(6 * (first_group_of(leaf + 1) - first_group_of(leaf)));
+                (bytes, group_bytes) = (others, other_groups);
+                measure(space, leaf_cubes[leaf], mesh, of_leaf.map(|item| items.triangle(item)), chunk, groups);
             }
         });
-        let group_bytes = group_bounds(&bytes, leaf_starts);
         Self { bytes: bytes.into(), group_bytes: group_bytes.into() }
     }
 
@@ -193,20 +221,18 @@ impl QuantizedBoxes {
 
     /// Whether these are the boxes of so many leaves and items.
     pub(super) fn are_as_many_as(&self, n_leaves: usize, n_items: usize) -> bool {
-        self.bytes.len() == 6 * box_number(n_leaves as u32, n_items) + PADDING
-            && self.group_bytes.len() == 6 * group_number(n_leaves as u32, n_items) + PADDING
+        self.bytes.len() == 3 * n_items + PADDING
+            && self.group_bytes.len() == 6 * first_group(n_leaves as u32, n_items) + PADDING
     }
 
     /// Bounds of a leaf's triangles within its cube, in finest cells.
     pub(crate) fn leaf_bounds(&self, leaf: u32, cube: LeafCube, items: Range<usize>) -> Bounds {
-        let (first, n) = (6 * group_number(leaf, items.start), items.len().div_ceil(ITEMS_PER_GROUP));
+        let groups = self.of_groups(leaf, items);
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        for group in 0..n {
-            let (row_group, n_in_row) = (group / GROUP * GROUP, (n - group / GROUP * GROUP).min(GROUP));
-            let side =
-                |side: usize| f64::from(self.group_bytes[first + 6 * row_group + side * n_in_row + group - row_group]);
-            low = low.min(DVec3::new(side(0), side(2), side(4)));
-            high = high.max(DVec3::new(side(1), side(3), side(5)));
+        for group in 0..groups.n {
+            let [x, greatest_x, y, greatest_y, z, greatest_z] = groups.sides(group).map(f64::from);
+            low = low.min(DVec3::new(x, y, z));
+            high = high.max(DVec3::new(greatest_x, greatest_y, greatest_z));
         }
         let [x, y, z, _] = cube.corner();
         let corner = UVec3::new(x, y, z).as_dvec3();
@@ -215,40 +241,31 @@ impl QuantizedBoxes {
     }
 
     #[inline(always)]
-    pub(crate) fn prefetch<S: Simd>(&self, leaf: u32, items: Range<usize>) {
-        let mut at = 6 * box_number(leaf, items.start);
-        let end = at + 6 * items.len().div_ceil(ITEMS_PER_BOX);
-        while at < end {
+    pub(crate) fn prefetch<S: Simd>(&self, items: Range<usize>) {
+        let mut at = 3 * items.start;
+        while at < 3 * items.end {
             S::prefetch(&self.bytes, at);
             at += 64;
         }
     }
 
-    /// The boxes of a group of a leaf, which has these items.
+    /// The boxes of a group of `n` items from `first` on.
     #[inline(always)]
-    pub(crate) fn group(&self, leaf: u32, items: Range<usize>) -> GroupBytes<'_> {
-        let BoxBytes { bytes, n } = self.of_leaf(leaf, items);
-        GroupBytes { bytes, n }
-    }
-
-    /// The boxes of a leaf with these items.
-    #[inline(always)]
-    pub(crate) fn of_leaf(&self, leaf: u32, items: Range<usize>) -> BoxBytes<'_> {
-        let (first, n) = (box_number(leaf, items.start), items.len().div_ceil(ITEMS_PER_BOX));
-        BoxBytes { bytes: &self.bytes[6 * first..6 * (first + n) + PADDING], n }
+    pub(crate) fn group(&self, first: usize, n: usize) -> GroupBoxes<'_> {
+        GroupBoxes { bytes: &self.bytes[3 * first..3 * (first + n) + PADDING], n }
     }
 
     /// The bounds of the groups of a leaf with these items.
     #[inline(always)]
-    pub(crate) fn of_groups(&self, leaf: u32, items: Range<usize>) -> BoxBytes<'_> {
-        let (first, n) = (group_number(leaf, items.start), items.len().div_ceil(ITEMS_PER_GROUP));
-        BoxBytes { bytes: &self.group_bytes[6 * first..6 * (first + n) + PADDING], n }
+    pub(crate) fn of_groups(&self, leaf: u32, items: Range<usize>) -> GroupBounds<'_> {
+        let (first, n) = (first_group(leaf, items.start), items.len().div_ceil(GROUP));
+        GroupBounds { bytes: &self.group_bytes[6 * first..6 * (first + n) + PADDING], n }
     }
 }
 
-/// The boxes of one leaf, relative to the origin of rays that all advance the same way along an axis k.
-pub(crate) struct LeafBoxes<'a> {
-    bytes: BoxBytes<'a>,
+/// The groups of one leaf, relative to the origin of rays that all advance the same way along an axis k.
+pub(crate) struct LeafGroups<'a> {
+    bounds: GroupBounds<'a>,
     /// The near and far side along k, the least and greatest u, the least and greatest v.
     sides: [usize; 6],
     /// Positions of value 0, relative to the origin and with margins, in finest cells; depths along k.
@@ -266,11 +283,23 @@ pub(crate) struct BoxLanes<S> {
     v: [S; 2],
 }
 
-impl<'a> LeafBoxes<'a> {
-    /// The boxes in `bytes` of a leaf: a cube of side `size` and lowest corner `corner_from_origin`, in finest cells.
+/// Up to sixteen groups in memory: bounds as in [`BoxLanes`], and lengths of steps along k, u and v.
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+pub(crate) struct PlacedGroups {
+    sides: [[f32; 16]; 6],
+    steps: [[f32; 16]; 3],
+}
+
+impl PlacedGroups {
+    pub(crate) const NONE: Self = Self { sides: [[0.0; 16]; 6], steps: [[0.0; 16]; 3] };
+}
+
+impl<'a> LeafGroups<'a> {
+    /// Those of a leaf: a cube of side `size` and lowest corner `corner_from_origin`, in finest cells.
     #[inline(always)]
     pub(crate) fn new(
-        bytes: BoxBytes<'a>,
+        bounds: GroupBounds<'a>,
         axes: [usize; 3],
         is_backward: bool,
         corner_from_origin: [f64; 3],
@@ -294,17 +323,52 @@ impl<'a> LeafBoxes<'a> {
         let sides = [near, near ^ 1, 2 * u, 2 * u + 1, 2 * v, 2 * v + 1];
         let [u, v] = [base[1], base[2]];
         let bases = [depth - margin, depth + margin, u - margin, u + margin, v - margin, v + margin];
-        Self { bytes, sides, bases, steps: [step * direction_sign, step] }
+        Self { bounds, sides, bases, steps: [step * direction_sign, step] }
     }
 
-    /// The boxes from index `first` on, one per lane; lanes beyond the last box are undefined.
+    pub(crate) fn n(&self) -> usize {
+        self.bounds.n
+    }
+
+    /// The bounds of the groups from number `first` on, a multiple of [`Simd::LANES`], one per lane; lanes beyond the last group
+    /// are undefined. `placed` gets them for [`LeafGroups::boxes`].
     #[inline(always)]
-    pub(crate) fn bounds<S: Simd>(&self, first: usize) -> BoxLanes<S> {
+    pub(crate) fn bounds<S: Simd>(&self, first: usize, placed: &mut PlacedGroups) -> BoxLanes<S> {
+        let rows = self.bounds.batch(first / GROUP * GROUP).rows::<S>(self.sides, first % GROUP);
+        for axis in 0..3 {
+            let group_step = S::splat(self.steps[1] * (1.0 / f32::from(N_GROUP_STEPS)));
+            let length = rows[2 * axis + 1].sub(rows[2 * axis]).abs();
+            length.mul(group_step).store(&mut placed.steps[axis]);
+        }
         let [along, across] = [S::splat(self.steps[0]), S::splat(self.steps[1])];
         let mut sides = [along; 6];
         for side in 0..6 {
             let step = if side < 2 { along } else { across };
-            sides[side] = self.bytes.side::<S>(self.sides[side], first).mul_add(step, S::splat(self.bases[side]));
+            sides[side] = rows[side].mul_add(step, S::splat(self.bases[side]));
+            sides[side].store(&mut placed.sides[side]);
+        }
+        let [near, far, u_low, u_high, v_low, v_high] = sides;
+        BoxLanes { near, far, u: [u_low, u_high], v: [v_low, v_high] }
+    }
+
+    /// The boxes of group `lane` of those placed, from number `first` on, a multiple of [`Simd::LANES`] below [`GROUP`]; lanes
+    /// beyond the last box are undefined.
+    #[inline(always)]
+    pub(crate) fn boxes<S: Simd>(
+        &self,
+        placed: &PlacedGroups,
+        lane: usize,
+        boxes: GroupBoxes<'_>,
+        first: usize,
+    ) -> BoxLanes<S> {
+        let mut sides = [S::splat(0.0); 6];
+        for axis in 0..3 {
+            let [least, greatest] = [2 * axis, 2 * axis + 1];
+            let is_backward = self.sides[least] % 2 == 1;
+            let [from_least, from_greatest] = boxes.steps::<S>(self.sides[least] / 2, is_backward, first);
+            let step = S::splat(placed.steps[axis][lane]);
+            sides[least] = from_least.mul_add(step, S::splat(placed.sides[least][lane]));
+            sides[greatest] = from_greatest.neg_mul_add(step, S::splat(placed.sides[greatest][lane]));
         }
         let [near, far, u_low, u_high, v_low, v_high] = sides;
         BoxLanes { near, far, u: [u_low, u_high], v: [v_low, v_high] }
@@ -367,55 +431,60 @@ pub(crate) fn leaf_cubes(dims: [u32; 3], bricks: &[u32], nodes: &[TreeNode], n_l
     leaf_cubes
 }
 
-/// Writes the quantised boxes of a leaf's items, rounded outward.
-fn measure(space: &CellSpace, cube: LeafCube, mesh: &TracedMesh, items: &Items, of_leaf: Range<u32>, bytes: &mut [u8]) {
+/// Writes the quantised boxes of a leaf's triangles and of its groups, rounded outward.
+fn measure(
+    space: &CellSpace,
+    cube: LeafCube,
+    mesh: &TracedMesh,
+    triangles: impl ExactSizeIterator<Item = u32>,
+    bytes: &mut [u8],
+    group_bytes: &mut [u8],
+) {
     const ROUNDING: f64 = 1e-3;
     let steps_per_cell = N_STEPS / f64::from(cube.size());
     let [x, y, z, _] = cube.corner();
     let corner = UVec3::new(x, y, z).as_dvec3();
-    let n = of_leaf.len().div_ceil(ITEMS_PER_BOX);
-    for (index, first) in of_leaf.clone().step_by(ITEMS_PER_BOX).enumerate() {
-        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        for item in (first..of_leaf.end).take(ITEMS_PER_BOX) {
-            for point in mesh.corners(items.triangle(item)) {
-                let point = space.point_to_cells(Vec3::from_array(point).as_dvec3());
-                (low, high) = (low.min(point), high.max(point));
-            }
+    let n = triangles.len();
+    // Of each triangle of a group, in steps of the leaf.
+    let mut sides = [[DVec3::ZERO; 2]; GROUP];
+    for (index, triangle) in triangles.enumerate() {
+        let points = mesh.corners(triangle).map(|corner| space.point_to_cells(Vec3::from_array(corner).as_dvec3()));
+        let [low, high] = [points[0].min(points[1]).min(points[2]), points[0].max(points[1]).max(points[2])];
+        // Sides outside the cube get the ends of a byte's range.
+        let within = |position: DVec3| position.clamp(DVec3::ZERO, DVec3::splat(f64::from(u8::MAX)));
+        sides[index % GROUP] = [
+            within((low - corner) * steps_per_cell + (FIRST_STEP - ROUNDING)),
+            within((high - corner) * steps_per_cell + (FIRST_STEP + ROUNDING)),
+        ];
+        if index % GROUP == GROUP - 1 || index == n - 1 {
+            let first = index / GROUP * GROUP;
+            write_group(
+                &sides[..=index % GROUP],
+                &mut bytes[3 * first..=3 * index + 2],
+                group_bytes,
+                index / GROUP,
+                n.div_ceil(GROUP),
+            );
         }
-        let low = ((low - corner) * steps_per_cell + (FIRST_STEP - ROUNDING)).floor();
-        let high = ((high - corner) * steps_per_cell + (FIRST_STEP + ROUNDING)).ceil();
-        // Conversions saturate: sides outside the cube get the ends of a byte's range.
-        let sides = [0, 1, 2].map(|axis| [low[axis] as u8, high[axis] as u8]);
-        write_box(bytes, n, index, sides);
     }
 }
 
-/// Writes box `index` of `n`.
-fn write_box(bytes: &mut [u8], n: usize, index: usize, sides: [[u8; 2]; 3]) {
-    let group = index / GROUP * GROUP;
-    let n_in_group = (n - group).min(GROUP);
-    for (side, value) in sides.into_iter().flatten().enumerate() {
-        bytes[6 * group + side * n_in_group + index - group] = value;
-    }
-}
-
-/// The bounds of all groups.
-fn group_bounds(bytes: &[u8], leaf_starts: &[u32]) -> Vec<u8> {
-    let n_leaves = leaf_starts.len() as u32 - 1;
-    let mut group_bytes = vec![0; 6 * group_number(n_leaves, leaf_starts[n_leaves as usize] as usize) + PADDING];
-    for leaf in 0..n_leaves {
-        let (start, end) = (leaf_starts[leaf as usize] as usize, leaf_starts[leaf as usize + 1] as usize);
-        let n_boxes = (end - start).div_ceil(ITEMS_PER_BOX);
-        let n_groups = n_boxes.div_ceil(GROUP);
-        let of_leaf = &mut group_bytes[6 * group_number(leaf, start)..];
-        for group in 0..n_groups {
-            let first = box_number(leaf, start) + group * GROUP;
-            let n_in_group = (n_boxes - group * GROUP).min(GROUP);
-            let row = |side: usize| bytes[6 * first + side * n_in_group..][..n_in_group].iter().copied();
-            let sides =
-                [0, 1, 2].map(|axis| [row(2 * axis).min().unwrap_or(u8::MAX), row(2 * axis + 1).max().unwrap_or(0)]);
-            write_box(of_leaf, n_groups, group, sides);
+/// Writes the boxes of group `group` of `n_groups`, and its bounds.
+fn write_group(boxes: &[[DVec3; 2]], bytes: &mut [u8], group_bytes: &mut [u8], group: usize, n_groups: usize) {
+    let batch = group / GROUP * GROUP;
+    let n_in_batch = (n_groups - batch).min(GROUP);
+    for axis in 0..3 {
+        let least = boxes.iter().map(|[low, _]| low[axis]).fold(f64::INFINITY, f64::min).floor();
+        let greatest = boxes.iter().map(|[_, high]| high[axis]).fold(f64::NEG_INFINITY, f64::max).ceil();
+        for (side, value) in [least, greatest].into_iter().enumerate() {
+            group_bytes[6 * batch + (2 * axis + side) * n_in_batch + group - batch] = value as u8;
+        }
+        // Conversions round down, so a box grows; they saturate, where a group is flat.
+        let steps_per_step = f64::from(N_GROUP_STEPS) / (greatest - least);
+        for (index, [low, high]) in boxes.iter().enumerate() {
+            let up = (((low[axis] - least) * steps_per_step) as u8).min(N_GROUP_STEPS);
+            let down = (((greatest - high[axis]) * steps_per_step) as u8).min(N_GROUP_STEPS);
+            bytes[axis * boxes.len() + index] = up | down << 4;
         }
     }
-    group_bytes
 }

@@ -4,12 +4,12 @@
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::grid::tree::{
     BRICK_SIZE, LEVELS, Tree, TreeNode,
-    boxes::ITEMS_PER_BOX,
+    boxes::GROUP,
     overlap::{self, DILATION},
     scatter::Scatter,
 };
@@ -122,24 +122,25 @@ impl Builder<'_> {
         }
     }
 
-    /// Adds a leaf. Its references follow a Morton curve through the cell, so that those of a box are close, and the boxes of a
-    /// group.
+    /// Adds a leaf. Its references are ordered so that those of a group of boxes are close.
     fn push_leaf(&self, part: &mut TreePart, cell: &BuildCell, references: &[u32]) {
-        let first = part.references.len();
-        part.references.extend_from_slice(references);
-        part.leaf_ends.push(part.references.len() as u32);
-        if references.len() > ITEMS_PER_BOX {
-            let scale = 16.0 / f64::from(cell.size());
+        if references.len() > GROUP {
             let corner = DVec3::from_array(cell.corner.map(f64::from));
-            let key = |&triangle: &u32| {
-                let [a, b, c] = self.scatter.corners(triangle).unwrap_or_default();
-                let centroid = (a + b + c) * (1.0 / 3.0);
-                morton(
-                    ((centroid - corner) * scale).clamp(DVec3::ZERO, DVec3::splat(15.0)).to_array().map(|x| x as u32),
-                )
-            };
-            part.references[first..].sort_by_cached_key(key);
+            let within = |point: DVec3| (point - corner).clamp(DVec3::ZERO, DVec3::splat(f64::from(cell.size())));
+            let mut placed: Vec<_> = references
+                .iter()
+                .map(|&triangle| {
+                    let [a, b, c] = self.scatter.corners(triangle).unwrap_or_default();
+                    let centre = (within(a.min(b).min(c)) + within(a.max(b).max(c))) * 0.5;
+                    PlacedTriangle { centre: centre.as_vec3().to_array(), triangle }
+                })
+                .collect();
+            group_neighbours(&mut placed);
+            part.references.extend(placed.into_iter().map(|placed| placed.triangle));
+        } else {
+            part.references.extend_from_slice(references);
         }
+        part.leaf_ends.push(part.references.len() as u32);
     }
 
     /// Distributes a cell's triangles among its children, if that pays.
@@ -328,11 +329,32 @@ impl TreePart {
     }
 }
 
-/// Interleaves the four lowest bits of three coordinates.
-fn morton(position: [u32; 3]) -> u16 {
-    let spread = |x: u32| x & 1 | (x & 2) << 2 | (x & 4) << 4 | (x & 8) << 6;
-    let [x, y, z] = position.map(spread);
-    (x | y << 1 | z << 2) as u16
+/// A triangle of a leaf, and the centre of its bounds in the leaf's cube, from the cube's lowest corner, in finest cells.
+struct PlacedTriangle {
+    centre: [f32; 3],
+    triangle: u32,
+}
+
+/// Orders triangles so that every [`GROUP`] of them are close, from the first on: divides them across the longest side of the
+/// bounds of their centres, at a multiple of [`GROUP`] near the middle, and so on. Groups keep the order of the file.
+fn group_neighbours(placed: &mut [PlacedTriangle]) {
+    if placed.len() <= GROUP {
+        placed.sort_unstable_by_key(|placed| placed.triangle);
+        return;
+    }
+    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    for PlacedTriangle { centre, .. } in &*placed {
+        (low, high) = (low.min(Vec3::from_array(*centre)), high.max(Vec3::from_array(*centre)));
+    }
+    let axis = (high - low).max_position();
+    let middle = placed.len().div_ceil(GROUP) / 2 * GROUP;
+    // Numbers decide between equal centres, so that the result is one, and the halves of a quadrangle stay together.
+    placed.select_nth_unstable_by(middle, |a, b| {
+        a.centre[axis].total_cmp(&b.centre[axis]).then(a.triangle.cmp(&b.triangle))
+    });
+    let (before, after) = placed.split_at_mut(middle);
+    group_neighbours(before);
+    group_neighbours(after);
 }
 
 /// Joins lists, in parallel: the first write to fresh memory waits for page faults.

@@ -12,7 +12,7 @@ use crate::{
         Grid,
         traced::TracedMesh,
         tree::{
-            boxes::{BoxLanes, ITEMS_PER_BOX, LeafBoxes},
+            boxes::{BoxLanes, GROUP, LeafGroups, PlacedGroups, QuantizedBoxes},
             items::Items,
         },
     },
@@ -27,10 +27,10 @@ use crate::{
             ray_set::{MOST_PACKETS, Packet, RaySet},
         },
     },
-    simd::{Simd, every_second},
+    simd::{Simd, consecutive},
 };
 
-/// Boxes per ray from which a leaf's boxes are tested ray by ray: seen from afar, most lie between the rays.
+/// Triangles per ray from which a leaf's boxes are tested ray by ray: seen from afar, most lie between the rays.
 const RAY_BY_RAY_RATIO: usize = 3;
 
 /// Slots that remember tested triangles, a power of two.
@@ -333,35 +333,61 @@ impl<'a, const N: usize> Culler<'a, N> {
 
     /// Adds the items of a leaf whose boxes some ray may pass to those that wait. `rays` may pass the leaf.
     #[inline(always)]
-    pub(super) fn gather<S: PacketKernel>(&mut self, boxes: &LeafBoxes<'_>, items: Range<usize>, rays: &RaySet<N>) {
-        let n_boxes = items.len().div_ceil(ITEMS_PER_BOX);
-        let ray_by_ray = n_boxes >= RAY_BY_RAY_RATIO * rays.count() as usize;
-        for first in (0..n_boxes).step_by(S::LANES) {
-            // Make room for the items of a vector of boxes.
-            if self.n_waiting + ITEMS_PER_BOX * S::LANES > N_WAITING {
-                self.find_triangles::<S>();
-                if self.n_waiting + ITEMS_PER_BOX * S::LANES > N_WAITING {
-                    S::test_waiting(self);
+    pub(super) fn gather<S: PacketKernel>(
+        &mut self,
+        groups: &LeafGroups<'_>,
+        boxes: &QuantizedBoxes,
+        items: Range<usize>,
+        rays: &RaySet<N>,
+    ) {
+        let ray_by_ray = items.len() >= RAY_BY_RAY_RATIO * rays.count() as usize;
+        let mut placed = PlacedGroups::NONE;
+        for first_group in (0..groups.n()).step_by(S::LANES) {
+            // Test the groups against the bounds of all rays, then the boxes of those that are left.
+            let bounds = groups.bounds::<S>(first_group, &mut placed);
+            let missed = bounds.miss_signs(self.ray_bounds.slopes, self.least_inverse_limit).sign_mask();
+            let mut left = !missed & (u32::MAX >> (32 - (groups.n() - first_group).min(S::LANES)));
+            while left != 0 {
+                let lane = left.trailing_zeros() as usize;
+                left &= left - 1;
+                let first = items.start + (first_group + lane) * GROUP;
+                let of_group = boxes.group(first, (items.end - first).min(GROUP));
+                for first_box in (0..GROUP).step_by(S::LANES) {
+                    let bounds = groups.boxes::<S>(&placed, lane, of_group, first_box);
+                    let within = of_group.mask() >> first_box & (u32::MAX >> (32 - S::LANES));
+                    self.gather_boxes::<S>(&bounds, within, first + first_box, ray_by_ray.then_some(rays));
                 }
             }
+        }
+    }
 
-            // Test the boxes against the bounds of all rays, then against the rays of a sparse packet.
-            let bounds = boxes.bounds::<S>(first);
-            let missed = bounds.miss_signs(self.ray_bounds.slopes, self.least_inverse_limit).sign_mask();
-            let mut passed = !missed & (u32::MAX >> (32 - (n_boxes - first).min(S::LANES)));
-            if ray_by_ray && passed != 0 {
-                passed &= self.passed_by_any_ray(&bounds, rays);
-            }
-
-            // Keep the items of these boxes; the leaf's last may have one alone.
-            let first_item = items.start + ITEMS_PER_BOX * first;
-            let n_pairs = ((items.end - first_item) / ITEMS_PER_BOX).min(S::LANES);
-            let of_pairs = passed & ((1 << n_pairs) - 1);
-            for (number, passed) in [passed, of_pairs].into_iter().enumerate() {
-                let numbers = S::load_bits(&every_second((first_item + number) as u32));
-                self.n_waiting += numbers.compress_bits_to(passed, &mut self.waiting[self.n_waiting..]);
+    /// Adds the items from `first_item` on whose boxes are within a mask and some ray may pass to those that wait. Tests the
+    /// boxes against the bounds of all rays, then against each of `rays`.
+    #[inline(always)]
+    fn gather_boxes<S: PacketKernel>(
+        &mut self,
+        bounds: &BoxLanes<S>,
+        within: u32,
+        first_item: usize,
+        rays: Option<&RaySet<N>>,
+    ) {
+        // Make room for a vector of items.
+        if self.n_waiting + S::LANES > N_WAITING {
+            self.find_triangles::<S>();
+            if self.n_waiting + S::LANES > N_WAITING {
+                S::test_waiting(self);
             }
         }
+
+        let missed = bounds.miss_signs(self.ray_bounds.slopes, self.least_inverse_limit).sign_mask();
+        let mut passed = !missed & within;
+        if let Some(rays) = rays
+            && passed != 0
+        {
+            passed &= self.passed_by_any_ray(bounds, rays);
+        }
+        let numbers = S::load_bits(&consecutive(first_item as u32));
+        self.n_waiting += numbers.compress_bits_to(passed, &mut self.waiting[self.n_waiting..]);
     }
 
     /// Replaces the items that wait by their triangles, without those that were gathered before.
