@@ -2,7 +2,6 @@
 //!
 //! The paper's resolution sets the size of bricks. ARCHITECTURE.md ("The grid") has the reasons.
 
-#[expect(clippy::needless_range_loop, reason = "an axis indexes several arrays at once")]
 pub(crate) mod boxes;
 pub(crate) mod divide;
 pub(crate) mod hierarchy;
