@@ -6,7 +6,7 @@
 //!
 //! Below lie the leaves of a tree: nodes are few beside triangles, as a leaf holds dozens of them. Where triangles are
 //! large beside leaves, each lies in several, and a ray is tested against it in each. There, and in scenes that are small
-//! enough, the triangles themselves lie below, which takes more memory and 0.6 to 0.95 of the time.
+//! enough, the triangles themselves lie below, which takes more memory and 0.5 to 0.95 of the time.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3A};
