@@ -142,7 +142,7 @@ fn a_transfer_that_is_cut_goes_on_where_it_was_and_a_wrong_chunk_is_refused() {
     });
     let mut node = machines.node(&far, &[]);
     // Five megabytes came before the cut, and four before the wrong one: none of them again.
-    node.wait_for("it cannot fetch the model: the wall's scene file: its 10th megabyte is damaged");
+    node.wait_for("it cannot fetch the model: the wall's scene file: its megabyte number 10 is damaged");
     wall.wait_for("render server far cannot render yet: it cannot fetch ");
     node.wait_for("is ready: ");
     wall.wait_for("render server far is ready");

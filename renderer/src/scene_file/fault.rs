@@ -64,8 +64,8 @@ pub enum Damage {
     Head,
     #[error("it has {of_file} bytes in place of {expected}")]
     Length { of_file: u64, expected: u64 },
-    #[error("its {}th megabyte is damaged", .0 + 1)]
+    #[error("its megabyte number {} is damaged", .0 + 1)]
     Chunk(usize),
-    #[error("its {0} are damaged")]
+    #[error("its part \"{0}\" is damaged")]
     Content(&'static str),
 }
