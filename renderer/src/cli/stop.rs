@@ -104,9 +104,13 @@ fn try_to_listen() -> anyhow::Result<()> {
         let _guard = runtime.enter();
         let mut interrupt = signal(SignalKind::interrupt()).context(failed)?;
         let mut terminate = signal(SignalKind::terminate()).context(failed)?;
+        // It comes where a file would grow beyond a limit (ulimit -f). As a program has it, writing fails in its place, with a
+        // line and without incomplete files.
+        let mut too_large = signal(SignalKind::from_raw(libc::SIGXFSZ)).context(failed)?;
         async move {
             loop {
                 tokio::select! {
+                    _ = too_large.recv() => (),
                     _ = interrupt.recv() => receive(Signal::Interrupt),
                     _ = terminate.recv() => receive(Signal::Terminate),
                 }
