@@ -41,6 +41,9 @@ const BYTES_PER_TRIANGLE: u64 = 48 + 36;
 
 /// Up to [`CHILDREN`] boxes.
 ///
+/// Sides in bytes, after Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs"
+/// (2017), would take 19 bytes a triangle less and 1.04 to 1.3 of the time, on the dragon.
+///
 /// Children are in slots: a slot's number has a bit for each axis, [`SLOT_BITS`], set for children that lie rather on the
 /// upper side, so a ray meets the slots roughly in the order of their numbers with some bits inverted.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
