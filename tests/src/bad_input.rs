@@ -183,9 +183,48 @@ fn what_cannot_be_written_is_told_before_the_work() {
         assert_eq!(said.matches("No such file").count(), 1, "{shown}\n{said}");
         assert!(said.starts_with("error: ") && said.contains("/no/such/folder/out."), "{shown}\n{said}");
     }
-    for command in [compositor(&["--screenshot", "a.jpg"]), renderer(&["trace", "--image", "a.jpg"])] {
-        assert!(fails(command).ends_with("give a name that ends with .png"));
+    let mut check = Program::command("compositor");
+    check.args(["check", "wall.toml", "--svg", "wall.toml"]);
+    for (command, ending) in [
+        (compositor(&["--screenshot", "a.jpg"]), "png"),
+        (renderer(&["trace", "--image", "a.jpg"]), "png"),
+        (compositor(&["--stats", "dragon.ply"]), "json"),
+        (check, "svg"),
+    ] {
+        assert!(fails(command).ends_with(&format!("give a name that ends with .{ending}")));
     }
+}
+
+#[test]
+fn a_scene_does_not_replace_its_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let [model, link] = ["model.raywall", "link.raywall"].map(|name| folder.path().join(name));
+    Program::succeed(renderer(&[
+        "generate",
+        "statue",
+        "--triangles",
+        "1000",
+        folder.path().join("a.ply").to_str().unwrap(),
+    ]));
+    std::fs::rename(folder.path().join("a.ply"), &model).unwrap();
+    std::os::unix::fs::symlink(&model, &link).unwrap();
+    let before = std::fs::read(&model).unwrap();
+    for out in [&model, &link] {
+        let line = fails(renderer(&["build", model.to_str().unwrap(), out.to_str().unwrap()]));
+        assert!(line.contains("is the model itself") && line.contains("name another file"), "{line}");
+    }
+    assert_eq!(std::fs::read(&model).unwrap(), before);
+}
+
+#[test]
+fn a_file_that_may_not_grow_so_large_is_told_and_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = std::process::Command::new("sh");
+    command.args(["-c", "ulimit -f 100; exec \"$@\"", "sh"]).arg(renderer(&[]).get_program());
+    command.args(["generate", "statue", "--triangles", "200000"]).arg(folder.path().join("statue.ply"));
+    let line = fails(command);
+    assert!(line.contains("statue.ply") && line.contains("File too large"), "{line}");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 
 #[test]

@@ -228,7 +228,8 @@ pub struct WallArgs {
         value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "png")))]
     pub screenshot: Option<PathBuf>,
     /// At the end, write the measurements of every frame to this file
-    #[arg(long, value_name = "FILE.json")]
+    #[arg(long, value_name = "FILE.json",
+        value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "json")))]
     pub stats: Option<PathBuf>,
     /// How local render servers prepare scenes
     #[command(flatten)]

@@ -6,8 +6,9 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use channel::files;
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use glam::{DVec2, DVec4};
-use renderer::cli::say;
+use renderer::cli::{picture_args::with_ending, say};
 use shared::printable::printable_line;
 
 use crate::{
@@ -21,7 +22,8 @@ pub struct CheckArgs {
     /// The wall file
     pub file: PathBuf,
     /// Draw the wall into this file
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg",
+        value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "svg")))]
     pub svg: Option<PathBuf>,
 }
 

@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
+use channel::files;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use shared::printable::{bytes, counted};
 
@@ -15,6 +16,7 @@ use crate::{
         say,
         scene_args::SceneArgs,
     },
+    model::scene::SceneSource,
     render::threads,
     scene_file::{cache::ENDING, store},
 };
@@ -40,8 +42,15 @@ pub struct BuildArgs {
 
 /// Builds the scene, writes it, and prints what it holds.
 pub fn run(BuildArgs { model, out, threads, scene }: &BuildArgs) -> Result<()> {
-    check_writable(out)?;
     let source = model.source();
+    if let SceneSource::File(path) = &source {
+        ensure!(
+            !files::are_one_file(path, out),
+            "{} is the model itself, which the scene would replace: name another file",
+            out.display()
+        );
+    }
+    check_writable(out)?;
     threads::pool(threads.map(usize::from))?.install(|| {
         let options = scene.options();
         warn_of_large_file(&source, 1);

@@ -79,6 +79,12 @@ pub fn write(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) 
     new.finish()
 }
 
+/// Whether both paths lead to one file that exists, be it through links. Another name of the file (a hard link) counts as
+/// another file: [`write()`] replaces the name, and leaves the file as it is.
+pub fn are_one_file(one: &Path, other: &Path) -> bool {
+    one.canonicalize().is_ok_and(|one| other.canonicalize().is_ok_and(|other| one == other))
+}
+
 /// Checks that [`write()`] can write this file, before work whose result it takes. The old file stays as it is.
 ///
 /// # Errors
@@ -381,6 +387,21 @@ mod tests {
         assert_eq!(names(folder.path()), ["stats.json"]);
         assert!(write(Path::new("/no/such/folder/a"), |_| Ok(())).is_err());
         assert!(write(folder.path(), |_| Ok(())).is_err(), "a folder");
+    }
+
+    #[test]
+    fn one_file_has_many_paths() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        assert!(!are_one_file(&path("a"), &path("a")), "there is none");
+        fs::write(path("a"), "a").unwrap();
+        fs::write(path("b"), "a").unwrap();
+        assert!(are_one_file(&path("a"), &path("./a")) && !are_one_file(&path("a"), &path("b")));
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink(path("a"), path("link")).unwrap();
+            assert!(are_one_file(&path("link"), &path("a")) && !are_one_file(&path("link"), &path("b")));
+        }
     }
 
     #[test]
