@@ -206,6 +206,10 @@ struct State {
 }
 
 impl State {
+    /// Not inlined: the caller would have room for a state on its stack too, and test each page of that for every ray alone,
+    /// which took half of its time.
+    #[cold]
+    #[inline(never)]
     fn new() -> Box<Self> {
         let coordinates = [0.0; 3 * N_SLOTS + 3];
         Box::new(Self {
@@ -251,9 +255,10 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> Kernel for RayStream<'_, F, ANY>
             self.begin_ray::<S>(n_begun as u32);
             n_begun += 1;
         }
+        let (mut at_ends, mut at_nodes, mut at_leaves) = (SlotList::EMPTY, SlotList::EMPTY, SlotList::EMPTY);
         loop {
             // Sort the slots by the step that each needs. No branch does: nobody can tell what comes next.
-            let (mut at_ends, mut at_nodes, mut at_leaves) = (SlotList::EMPTY, SlotList::EMPTY, SlotList::EMPTY);
+            (at_ends.n, at_nodes.n, at_leaves.n) = (0, 0, 0);
             for first in (0..n_begun).step_by(S::LANES) {
                 let begun = u32::MAX >> (32 - S::LANES.min(n_begun - first));
                 let entries = &self.state.entries[first..];
