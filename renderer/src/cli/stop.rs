@@ -104,8 +104,8 @@ fn try_to_listen() -> anyhow::Result<()> {
         let _guard = runtime.enter();
         let mut interrupt = signal(SignalKind::interrupt()).context(failed)?;
         let mut terminate = signal(SignalKind::terminate()).context(failed)?;
-        // It comes where a file would grow beyond a limit (ulimit -f). As a program has it, writing fails in its place, with a
-        // line and without incomplete files.
+        // It comes where a file would grow beyond a limit (ulimit -f), and ends a program that does not listen for it. One that
+        // does is told by the write, which fails like any other.
         let mut too_large = signal(SignalKind::from_raw(libc::SIGXFSZ)).context(failed)?;
         async move {
             loop {
