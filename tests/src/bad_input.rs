@@ -219,7 +219,7 @@ fn a_scene_does_not_replace_its_model() {
 #[test]
 fn a_file_that_may_not_grow_so_large_is_told_and_leaves_nothing() {
     let folder = tempfile::tempdir().unwrap();
-    let mut command = std::process::Command::new("sh");
+    let mut command = Command::new("sh");
     command.args(["-c", "ulimit -f 100; exec \"$@\"", "sh"]).arg(renderer(&[]).get_program());
     command.args(["generate", "statue", "--triangles", "200000"]).arg(folder.path().join("statue.ply"));
     let line = fails(command);
