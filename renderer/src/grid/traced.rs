@@ -1,7 +1,6 @@
 //! The mesh that rays hit: ordered so that triangles close in space are close in memory.
 
 mod corners;
-mod file_indices;
 mod positions;
 mod stored;
 
@@ -12,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use shared::srgb;
 
 use crate::{
+    grid::packed::PackedNumbers,
     intersect::ray::{Hit, Ray},
     model::{
         lattice::Lattice,
@@ -27,8 +27,10 @@ use crate::{
     },
 };
 use corners::Corners;
-use file_indices::FileIndices;
 use positions::Positions;
+
+/// Bytes of a file index, rounded up; more where neighbours come from far apart in the file.
+const FILE_INDEX_BYTES: u64 = 3;
 
 /// A mesh in the order of a grid's cells, without triangles that cannot be hit.
 ///
@@ -39,8 +41,8 @@ pub struct TracedMesh {
     /// The vertices of each triangle, which all have [`TracedMesh::positions`].
     #[serde(skip)]
     corners: Corners,
-    #[serde(skip)]
-    file_indices: FileIndices,
+    /// The number of each triangle in the file.
+    file_indices: PackedNumbers,
     /// sRGB, one for each vertex; empty in a mesh without colours.
     #[serde(skip)]
     colors: Section<[u8; 3]>,
@@ -59,7 +61,7 @@ pub struct TracedMesh {
 
 impl TracedMesh {
     /// Bytes of a triangle, without vertices.
-    pub(crate) const BYTES_PER_TRIANGLE: u64 = FileIndices::BYTES_PER_TRIANGLE + Corners::BYTES_PER_TRIANGLE;
+    pub(crate) const BYTES_PER_TRIANGLE: u64 = FILE_INDEX_BYTES + Corners::BYTES_PER_TRIANGLE;
 
     /// Bytes that a mesh takes while it is ordered, as loaded and as traced, without triangles of the latter.
     pub(crate) fn peak_bytes(mesh: &Mesh) -> u64 {
@@ -88,7 +90,7 @@ impl TracedMesh {
         let (corners, kept_vertices) = Corners::new(&order, &triangles);
         drop(triangles);
         let materials = TracedMaterials::new(materials, &order);
-        let file_indices = FileIndices::new(&order);
+        let file_indices = PackedNumbers::new(&order);
         drop(order);
         let is_textured = materials.has_textures() && !texture_coordinates.is_empty();
         Self {
@@ -138,7 +140,7 @@ impl TracedMesh {
     /// A triangle's number in the file.
     #[inline]
     pub fn file_index(&self, triangle_idx: u32) -> u32 {
-        self.file_indices.of(triangle_idx)
+        self.file_indices.get(triangle_idx as usize)
     }
 
     /// A triangle's corners, in model space.

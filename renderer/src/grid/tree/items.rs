@@ -5,9 +5,11 @@
 //! tells which an item is, and sums of bits which guest: Jacobson, "Space-efficient Static Trees and Graphs" (1989).
 
 use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    grid::packed::PackedNumbers,
     scene_file::{
         fault::{Damage, Fault},
         section::Section,
@@ -21,20 +23,26 @@ use crate::{
 pub(crate) struct Items {
     #[serde(skip)]
     words: Section<Word>,
-    /// The triangle indices of guests, and one number more.
-    #[serde(skip)]
-    guests: Section<u32>,
+    /// The triangle indices of guests.
+    guests: PackedNumbers,
 }
 
 /// Sixty-four items.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 struct Word {
-    /// A bit for each guest.
-    are_guests: u64,
+    /// A bit for each guest, the first 32 items before the others: a `u64` would bring four bytes of padding.
+    are_guests: [u32; 2],
     /// Guests before these items.
     n_before: u32,
-    zero: u32,
+}
+
+impl Word {
+    /// A bit for each guest.
+    #[inline(always)]
+    fn guests(self) -> u64 {
+        u64::from(self.are_guests[0]) | u64::from(self.are_guests[1]) << 32
+    }
 }
 
 impl Items {
@@ -57,19 +65,17 @@ impl Items {
                 listed[n_triangles] = number;
                 n_triangles += 1;
             } else {
-                words[item / 64].are_guests |= 1 << (item % 64);
+                words[item / 64].are_guests[item % 64 / 32] |= 1 << (item % 32);
                 guests.push(*triangle_idx);
             }
         }
         listed.truncate(n_triangles);
         listed.shrink_to_fit();
-        guests.push(0);
-        guests.shrink_to_fit();
-        (Self { words: words.into(), guests: guests.into() }, listed)
+        (Self { words: words.into(), guests: PackedNumbers::new(&guests) }, listed)
     }
 
     pub(crate) fn n_bytes(&self) -> usize {
-        size_of_val(&*self.words) + size_of_val(&*self.guests)
+        size_of_val(&*self.words) + self.guests.n_bytes()
     }
 
     /// The triangle index of an item.
@@ -77,10 +83,10 @@ impl Items {
     // The branch pays: to read a guest for every item, so that there is none, costs a cache miss each.
     #[inline(always)]
     pub(crate) fn triangle(&self, item: u32) -> u32 {
-        let Word { are_guests, n_before, .. } = self.words[item as usize / 64];
-        let bit = 1 << (item % 64);
-        let nth_guest = n_before + (are_guests & (bit - 1)).count_ones();
-        if are_guests & bit == 0 { item - nth_guest } else { self.guests[nth_guest as usize] }
+        let word = self.words[item as usize / 64];
+        let (guests, bit) = (word.guests(), 1 << (item % 64));
+        let nth_guest = word.n_before + (guests & (bit - 1)).count_ones();
+        if guests & bit == 0 { item - nth_guest } else { self.guests.get(nth_guest as usize) }
     }
 
     /// Hints that the items of a leaf will be read soon.
@@ -91,13 +97,14 @@ impl Items {
 
     pub(super) fn visit_sections<'a>(&'a mut self, visitor: &mut impl SectionVisitor<'a>) -> Result<(), Fault> {
         visitor.visit("items", &mut self.words)?;
-        visitor.visit("guests", &mut self.guests)
+        self.guests.visit_sections(["guest windows", "guests"], visitor)
     }
 
     /// Checks that so many items can have so many triangles.
     pub(super) fn check_sizes(&self, n_items: usize, n_triangles: usize) -> Result<(), Damage> {
         expect(self.words.len() == n_items.div_ceil(64), "items")?;
-        expect(self.guests.len().checked_add(n_triangles) == Some(n_items + 1), "guests")
+        self.guests.check_sizes("guests")?;
+        expect(self.guests.len().checked_add(n_triangles) == Some(n_items), "guests")
     }
 
     /// Checks that all guests exist, and are counted rightly.
@@ -105,12 +112,13 @@ impl Items {
         let mut n_guests = 0;
         for word in &*self.words {
             expect(word.n_before as usize == n_guests, "items")?;
-            n_guests += word.are_guests.count_ones() as usize;
+            n_guests += word.guests().count_ones() as usize;
         }
         let n_in_last = n_items % 64;
-        let are_items = n_in_last == 0 || self.words.last().is_some_and(|word| word.are_guests >> n_in_last == 0);
+        let are_items = n_in_last == 0 || self.words.last().is_some_and(|word| word.guests() >> n_in_last == 0);
         expect(are_items && n_guests + n_triangles == n_items, "items")?;
-        expect(self.guests[..n_guests].iter().all(|&guest| (guest as usize) < n_triangles), "guests")
+        self.guests.check_contents("guests")?;
+        expect((0..n_guests).into_par_iter().all(|nth| (self.guests.get(nth) as usize) < n_triangles), "guests")
     }
 }
 
@@ -138,7 +146,7 @@ mod tests {
             if order.len() < listed.len() {
                 assert!(items.check_contents(listed.len(), order.len() - 1).is_err());
                 let mut words = items.words.to_vec();
-                words[0].are_guests ^= 1;
+                words[0].are_guests[0] ^= 1;
                 items.words = words.into();
                 assert!(items.check_contents(listed.len(), order.len()).is_err());
             }
@@ -148,7 +156,7 @@ mod tests {
     #[test]
     fn guests_that_do_not_exist_are_found() {
         let (mut items, order) = Items::new(vec![0, 1, 0], 2);
-        items.guests = vec![2, 0].into();
+        items.guests = PackedNumbers::new(&[2]);
         assert!(items.check_contents(3, order.len()).is_err());
     }
 }
