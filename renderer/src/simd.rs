@@ -4,10 +4,12 @@
 //! decides the rest and computes t: [`Real`] has no fused operations, so all sets give the bits of `f64`.
 
 mod instructions;
+pub(crate) mod points;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
 pub use instructions::InstructionSet;
+use points::PointScale;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::{Avx2, Avx512};
 
@@ -157,6 +159,13 @@ pub(crate) trait Simd: Copy {
     ///
     /// `coordinates` has at least `3 * vertex + 4` numbers for each of the first [`Simd::LANES`] vertices.
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3];
+    /// Gathers x, y and z of the first [`Simd::LANES`] points, which lie one after the other: see [`PointScale`]. Loads are
+    /// unchecked, as above.
+    ///
+    /// # Safety
+    ///
+    /// [`points::LOADED`] bytes follow the first one of each of these points.
+    unsafe fn gather_points(bytes: &[u8], scale: PointScale, indices: &[u32; 16]) -> [Self; 3];
     /// Gathers x, y and z of the first [`Simd::LANES`] points, which are whole numbers of `n_bits` bits, x in the lowest; points
     /// lie `stride` bytes apart. Loads are unchecked, as above.
     ///
@@ -259,6 +268,18 @@ impl Simd for Portable {
     #[inline(always)]
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
         std::array::from_fn(|axis| Self(std::array::from_fn(|lane| coordinates[3 * vertices[lane] as usize + axis])))
+    }
+    #[inline(always)]
+    unsafe fn gather_points(bytes: &[u8], scale: PointScale, indices: &[u32; 16]) -> [Self; 3] {
+        let mut gathered = [Self([0.0; 8]); 3];
+        for lane in 0..8 {
+            let packed = bytes[points::POINT * indices[lane] as usize..].first_chunk();
+            let point = scale.unpack(packed.expect("all bytes of the point"));
+            for axis in 0..3 {
+                gathered[axis].0[lane] = point[axis];
+            }
+        }
+        gathered
     }
     #[inline(always)]
     unsafe fn gather_packed(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3] {

@@ -2,7 +2,10 @@
 
 use std::arch::x86_64::*;
 
-use super::{Real, Simd, call_with_features};
+use super::{
+    Real, Simd, call_with_features,
+    points::{EXPONENT_BITS, LARGEST_EXPONENT, LOADED, POINT, PointScale},
+};
 
 /// Eight lanes in an AVX2 register. Made only inside functions that enable `avx2` and `fma`.
 #[derive(Clone, Copy)]
@@ -65,6 +68,63 @@ unsafe fn vertex(coordinates: &[f32], vertex: u32) -> __m128 {
     unsafe { _mm_loadu_ps(coordinates.as_ptr().add(first)) }
 }
 
+/// The significands of a point, three numbers, and its exponents.
+///
+/// # Safety
+///
+/// The point is there.
+#[inline(always)]
+unsafe fn point(bytes: &[u8], point: u32) -> __m128 {
+    let first = POINT * point as usize;
+    debug_assert!(first + LOADED <= bytes.len(), "no point {point} in {} bytes", bytes.len());
+    // SAFETY: the caller's, and the instruction sets of this module have SSSE3.
+    unsafe {
+        // Numbers of three bytes become numbers of four, and −1 makes zeros.
+        let places = _mm_setr_epi8(0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, -1, -1);
+        _mm_castsi128_ps(_mm_shuffle_epi8(_mm_loadu_si128(bytes.as_ptr().add(first).cast()), places))
+    }
+}
+
+/// The four numbers of rows, one row a lane. Each vector holds rows that lie four apart.
+///
+/// # Safety
+///
+/// The instruction set is AVX2.
+#[inline(always)]
+unsafe fn transposed_256([a, b, c, d]: [__m256; 4]) -> [__m256; 4] {
+    // SAFETY: the caller's.
+    unsafe {
+        let (xy_ab, zw_ab) = (_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
+        let (xy_cd, zw_cd) = (_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d));
+        [
+            _mm256_shuffle_ps::<0x44>(xy_ab, xy_cd),
+            _mm256_shuffle_ps::<0xee>(xy_ab, xy_cd),
+            _mm256_shuffle_ps::<0x44>(zw_ab, zw_cd),
+            _mm256_shuffle_ps::<0xee>(zw_ab, zw_cd),
+        ]
+    }
+}
+
+/// [`transposed_256`] of sixteen rows.
+///
+/// # Safety
+///
+/// The instruction set is AVX-512.
+#[inline(always)]
+unsafe fn transposed_512([a, b, c, d]: [__m512; 4]) -> [__m512; 4] {
+    // SAFETY: the caller's.
+    unsafe {
+        let (xy_ab, zw_ab) = (_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
+        let (xy_cd, zw_cd) = (_mm512_unpacklo_ps(c, d), _mm512_unpackhi_ps(c, d));
+        [
+            _mm512_shuffle_ps::<0x44>(xy_ab, xy_cd),
+            _mm512_shuffle_ps::<0xee>(xy_ab, xy_cd),
+            _mm512_shuffle_ps::<0x44>(zw_ab, zw_cd),
+            _mm512_shuffle_ps::<0xee>(zw_ab, zw_cd),
+        ]
+    }
+}
+
 /// The eight bytes from a point's first.
 ///
 /// # Safety
@@ -109,14 +169,31 @@ impl Simd for Avx2 {
                 let (low, high) = (vertex(coordinates, vertices[lane]), vertex(coordinates, vertices[lane + 4]));
                 rows[lane] = _mm256_insertf128_ps::<1>(_mm256_castps128_ps256(low), high);
             }
-            let [a, b, c, d] = rows;
-            let (xy_ab, zw_ab) = (_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
-            let (xy_cd, zw_cd) = (_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d));
-            [
-                Self(_mm256_shuffle_ps::<0x44>(xy_ab, xy_cd)),
-                Self(_mm256_shuffle_ps::<0xee>(xy_ab, xy_cd)),
-                Self(_mm256_shuffle_ps::<0x44>(zw_ab, zw_cd)),
-            ]
+            let [x, y, z, _] = transposed_256(rows);
+            [Self(x), Self(y), Self(z)]
+        }
+    }
+    #[inline(always)]
+    unsafe fn gather_points(bytes: &[u8], scale: PointScale, indices: &[u32; 16]) -> [Self; 3] {
+        // SAFETY: as above, and the caller's: all points are there.
+        unsafe {
+            let mut rows = [_mm256_setzero_ps(); 4];
+            for lane in 0..4 {
+                let (low, high) = (point(bytes, indices[lane]), point(bytes, indices[lane + 4]));
+                rows[lane] = _mm256_insertf128_ps::<1>(_mm256_castps128_ps256(low), high);
+            }
+            let [x, y, z, exponents] = transposed_256(rows);
+            let (mut coordinates, exponents) = ([Self(x), Self(y), Self(z)], _mm256_castps_si256(exponents));
+            let (mask, scale) = (_mm256_set1_epi32(LARGEST_EXPONENT as i32), _mm256_set1_ps(scale.0));
+            for (axis, coordinate) in (0..).zip(&mut coordinates) {
+                let shift = _mm_cvtsi32_si128((axis * EXPONENT_BITS) as i32);
+                let exponent = _mm256_and_si256(_mm256_srl_epi32(exponents, shift), mask);
+                let bits = _mm256_or_si256(_mm256_castps_si256(coordinate.0), _mm256_slli_epi32::<24>(exponent));
+                // The sign, which is the lowest bit, becomes the highest.
+                let bits = _mm256_or_si256(_mm256_srli_epi32::<1>(bits), _mm256_slli_epi32::<31>(bits));
+                coordinate.0 = _mm256_mul_ps(_mm256_castsi256_ps(bits), scale);
+            }
+            coordinates
         }
     }
     #[inline(always)]
@@ -254,14 +331,33 @@ impl Simd for Avx512 {
                 let third = _mm512_insertf32x4::<2>(second, vertex(coordinates, vertices[lane + 8]));
                 rows[lane] = _mm512_insertf32x4::<3>(third, vertex(coordinates, vertices[lane + 12]));
             }
-            let [a, b, c, d] = rows;
-            let (xy_ab, zw_ab) = (_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
-            let (xy_cd, zw_cd) = (_mm512_unpacklo_ps(c, d), _mm512_unpackhi_ps(c, d));
-            [
-                Self(_mm512_shuffle_ps::<0x44>(xy_ab, xy_cd)),
-                Self(_mm512_shuffle_ps::<0xee>(xy_ab, xy_cd)),
-                Self(_mm512_shuffle_ps::<0x44>(zw_ab, zw_cd)),
-            ]
+            let [x, y, z, _] = transposed_512(rows);
+            [Self(x), Self(y), Self(z)]
+        }
+    }
+    #[inline(always)]
+    unsafe fn gather_points(bytes: &[u8], scale: PointScale, indices: &[u32; 16]) -> [Self; 3] {
+        // SAFETY: as above, and the caller's: all points are there.
+        unsafe {
+            let mut rows = [_mm512_setzero_ps(); 4];
+            for lane in 0..4 {
+                let first = _mm512_castps128_ps512(point(bytes, indices[lane]));
+                let second = _mm512_insertf32x4::<1>(first, point(bytes, indices[lane + 4]));
+                let third = _mm512_insertf32x4::<2>(second, point(bytes, indices[lane + 8]));
+                rows[lane] = _mm512_insertf32x4::<3>(third, point(bytes, indices[lane + 12]));
+            }
+            let [x, y, z, exponents] = transposed_512(rows);
+            let (mut coordinates, exponents) = ([Self(x), Self(y), Self(z)], _mm512_castps_si512(exponents));
+            let (mask, scale) = (_mm512_set1_epi32(LARGEST_EXPONENT as i32), _mm512_set1_ps(scale.0));
+            for (axis, coordinate) in (0..).zip(&mut coordinates) {
+                let shift = _mm_cvtsi32_si128((axis * EXPONENT_BITS) as i32);
+                let exponent = _mm512_and_si512(_mm512_srl_epi32(exponents, shift), mask);
+                let bits = _mm512_or_si512(_mm512_castps_si512(coordinate.0), _mm512_slli_epi32::<24>(exponent));
+                // The sign, which is the lowest bit, becomes the highest.
+                let bits = _mm512_ror_epi32::<1>(bits);
+                coordinate.0 = _mm512_mul_ps(_mm512_castsi512_ps(bits), scale);
+            }
+            coordinates
         }
     }
     #[inline(always)]
