@@ -268,10 +268,19 @@ impl<'a> Bundle<'a> {
     fn trace<S: Simd>(&mut self) {
         const N_STACK: usize = ((CHILDREN - 1) * hierarchy::LEVELS + 2).next_power_of_two();
         let Hierarchy { root, nodes, triangle_nodes, .. } = &self.tree.hierarchy;
-        let (mut stack, mut n_stack) = ([NONE; N_STACK], 1);
+        // Each entry has a bit for each ray that passes its box; others may have occluded these rays when it is taken.
+        let (mut stack, mut n_stack) = ([(NONE, 0); N_STACK], 2);
+        stack[1] = (*root, self.left);
         let mut rows = BoxRows([[0.0; CHILDREN]; 6]);
-        let mut entry = *root;
-        while entry != NONE && self.left != 0 {
+        loop {
+            n_stack -= 1;
+            let (entry, rays) = stack[n_stack % N_STACK];
+            if entry == NONE || self.left == 0 {
+                break;
+            }
+            if rays & self.left == 0 {
+                continue;
+            }
             let (index, is_leaf) = ((entry & !LEAF) as usize, entry & LEAF != 0);
             let node = if is_leaf { &triangle_nodes[index] } else { &nodes[index] };
             let mut passed = self.shaft.passed::<S>(node, &mut rows);
@@ -290,15 +299,15 @@ impl<'a> Bundle<'a> {
                 } else {
                     let nodes = if child & LEAF != 0 { triangle_nodes } else { nodes };
                     nodes[(child & !LEAF) as usize].prefetch::<S>();
-                    stack[n_stack % N_STACK] = child;
+                    stack[n_stack % N_STACK] = (child, rays);
                     n_stack += 1;
                 }
             }
             for &(triangle, rays) in &triangles[..n_triangles] {
-                self.test_triangle::<S>(triangle, rays & self.left);
+                if rays & self.left != 0 {
+                    self.test_triangle::<S>(triangle, rays & self.left);
+                }
             }
-            n_stack -= 1;
-            entry = stack[n_stack % N_STACK];
         }
     }
 
