@@ -159,13 +159,13 @@ pub(crate) trait Simd: Copy {
     ///
     /// `coordinates` has at least `3 * vertex + 4` numbers for each of the first [`Simd::LANES`] vertices.
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3];
-    /// Gathers x, y and z of the first [`Simd::LANES`] points, which lie one after the other: see [`PointScale`]. Loads are
+    /// Gathers x, y and z of the first [`Simd::LANES`] points, which [`PointScale`] has packed one after the other. Loads are
     /// unchecked, as above.
     ///
     /// # Safety
     ///
     /// [`points::LOADED`] bytes follow the first one of each of these points.
-    unsafe fn gather_points(bytes: &[u8], scale: PointScale, indices: &[u32; 16]) -> [Self; 3];
+    unsafe fn gather_packed_points(bytes: &[u8], scale: PointScale, indices: &[u32; 16]) -> [Self; 3];
     /// Gathers x, y and z of the first [`Simd::LANES`] points, which are whole numbers of `n_bits` bits, x in the lowest; points
     /// lie `stride` bytes apart. Loads are unchecked, as above.
     ///
@@ -173,7 +173,7 @@ pub(crate) trait Simd: Copy {
     ///
     /// `points` has at least `stride * point + 8` bytes for each of the first [`Simd::LANES`] points; three numbers have at most 64
     /// bits, and each at most 24.
-    unsafe fn gather_packed(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3];
+    unsafe fn gather_lattice_points(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3];
     /// Loads the first [`Simd::LANES`] numbers of a slice as they are, without conversion.
     fn load_bits(from: &[u32]) -> Self;
     /// Moves each lane i to lane i ^ `flip`, which is less than [`Simd::LANES`].
@@ -270,7 +270,7 @@ impl Simd for Portable {
         std::array::from_fn(|axis| Self(std::array::from_fn(|lane| coordinates[3 * vertices[lane] as usize + axis])))
     }
     #[inline(always)]
-    unsafe fn gather_points(bytes: &[u8], scale: PointScale, indices: &[u32; 16]) -> [Self; 3] {
+    unsafe fn gather_packed_points(bytes: &[u8], scale: PointScale, indices: &[u32; 16]) -> [Self; 3] {
         let mut gathered = [Self([0.0; 8]); 3];
         for lane in 0..8 {
             let packed = bytes[points::POINT * indices[lane] as usize..].first_chunk();
@@ -282,7 +282,7 @@ impl Simd for Portable {
         gathered
     }
     #[inline(always)]
-    unsafe fn gather_packed(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3] {
+    unsafe fn gather_lattice_points(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3] {
         let words: [u64; 8] = std::array::from_fn(|lane| {
             let bytes = &points[stride * indices[lane] as usize..];
             u64::from_le_bytes(bytes[..8].try_into().expect("eight bytes"))

@@ -68,13 +68,13 @@ unsafe fn vertex(coordinates: &[f32], vertex: u32) -> __m128 {
     unsafe { _mm_loadu_ps(coordinates.as_ptr().add(first)) }
 }
 
-/// The significands of a point, three numbers, and its exponents.
+/// The significands of a packed point, three numbers, and its exponents.
 ///
 /// # Safety
 ///
 /// The point is there.
 #[inline(always)]
-unsafe fn point(bytes: &[u8], point: u32) -> __m128 {
+unsafe fn packed_point(bytes: &[u8], point: u32) -> __m128 {
     let first = POINT * point as usize;
     debug_assert!(first + LOADED <= bytes.len(), "no point {point} in {} bytes", bytes.len());
     // SAFETY: the caller's, and the instruction sets of this module have SSSE3.
@@ -125,13 +125,13 @@ unsafe fn transposed_512([a, b, c, d]: [__m512; 4]) -> [__m512; 4] {
     }
 }
 
-/// The eight bytes from a point's first.
+/// The eight bytes from a lattice point's first.
 ///
 /// # Safety
 ///
 /// `points` has them.
 #[inline(always)]
-unsafe fn packed(points: &[u8], stride: usize, point: u32) -> i64 {
+unsafe fn lattice_point(points: &[u8], stride: usize, point: u32) -> i64 {
     let first = stride * point as usize;
     debug_assert!(first + 8 <= points.len(), "no point {point} in {} bytes", points.len());
     // SAFETY: the caller's.
@@ -174,12 +174,12 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
-    unsafe fn gather_points(bytes: &[u8], scale: PointScale, indices: &[u32; 16]) -> [Self; 3] {
+    unsafe fn gather_packed_points(bytes: &[u8], scale: PointScale, indices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all points are there.
         unsafe {
             let mut rows = [_mm256_setzero_ps(); 4];
             for lane in 0..4 {
-                let (low, high) = (point(bytes, indices[lane]), point(bytes, indices[lane + 4]));
+                let (low, high) = (packed_point(bytes, indices[lane]), packed_point(bytes, indices[lane + 4]));
                 rows[lane] = _mm256_insertf128_ps::<1>(_mm256_castps128_ps256(low), high);
             }
             let [x, y, z, exponents] = transposed_256(rows);
@@ -197,17 +197,17 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
-    unsafe fn gather_packed(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3] {
+    unsafe fn gather_lattice_points(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all points are there.
         unsafe {
             let mut words = [_mm256_setzero_si256(); 2];
             for (half, words) in words.iter_mut().enumerate() {
                 let first = 4 * half;
                 *words = _mm256_setr_epi64x(
-                    packed(points, stride, indices[first]),
-                    packed(points, stride, indices[first + 1]),
-                    packed(points, stride, indices[first + 2]),
-                    packed(points, stride, indices[first + 3]),
+                    lattice_point(points, stride, indices[first]),
+                    lattice_point(points, stride, indices[first + 1]),
+                    lattice_point(points, stride, indices[first + 2]),
+                    lattice_point(points, stride, indices[first + 3]),
                 );
             }
             let mask = _mm256_set1_epi64x((1 << n_bits) - 1);
@@ -336,15 +336,15 @@ impl Simd for Avx512 {
         }
     }
     #[inline(always)]
-    unsafe fn gather_points(bytes: &[u8], scale: PointScale, indices: &[u32; 16]) -> [Self; 3] {
+    unsafe fn gather_packed_points(bytes: &[u8], scale: PointScale, indices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all points are there.
         unsafe {
             let mut rows = [_mm512_setzero_ps(); 4];
             for lane in 0..4 {
-                let first = _mm512_castps128_ps512(point(bytes, indices[lane]));
-                let second = _mm512_insertf32x4::<1>(first, point(bytes, indices[lane + 4]));
-                let third = _mm512_insertf32x4::<2>(second, point(bytes, indices[lane + 8]));
-                rows[lane] = _mm512_insertf32x4::<3>(third, point(bytes, indices[lane + 12]));
+                let first = _mm512_castps128_ps512(packed_point(bytes, indices[lane]));
+                let second = _mm512_insertf32x4::<1>(first, packed_point(bytes, indices[lane + 4]));
+                let third = _mm512_insertf32x4::<2>(second, packed_point(bytes, indices[lane + 8]));
+                rows[lane] = _mm512_insertf32x4::<3>(third, packed_point(bytes, indices[lane + 12]));
             }
             let [x, y, z, exponents] = transposed_512(rows);
             let (mut coordinates, exponents) = ([Self(x), Self(y), Self(z)], _mm512_castps_si512(exponents));
@@ -361,21 +361,21 @@ impl Simd for Avx512 {
         }
     }
     #[inline(always)]
-    unsafe fn gather_packed(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3] {
+    unsafe fn gather_lattice_points(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all points are there.
         unsafe {
             let mut words = [_mm512_setzero_si512(); 2];
             for (half, words) in words.iter_mut().enumerate() {
                 let first = 8 * half;
                 *words = _mm512_setr_epi64(
-                    packed(points, stride, indices[first]),
-                    packed(points, stride, indices[first + 1]),
-                    packed(points, stride, indices[first + 2]),
-                    packed(points, stride, indices[first + 3]),
-                    packed(points, stride, indices[first + 4]),
-                    packed(points, stride, indices[first + 5]),
-                    packed(points, stride, indices[first + 6]),
-                    packed(points, stride, indices[first + 7]),
+                    lattice_point(points, stride, indices[first]),
+                    lattice_point(points, stride, indices[first + 1]),
+                    lattice_point(points, stride, indices[first + 2]),
+                    lattice_point(points, stride, indices[first + 3]),
+                    lattice_point(points, stride, indices[first + 4]),
+                    lattice_point(points, stride, indices[first + 5]),
+                    lattice_point(points, stride, indices[first + 6]),
+                    lattice_point(points, stride, indices[first + 7]),
                 );
             }
             let mask = _mm512_set1_epi64((1 << n_bits) - 1);
