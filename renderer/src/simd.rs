@@ -8,6 +8,7 @@ pub(crate) mod points;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
+use bytemuck::NoUninit;
 pub use instructions::InstructionSet;
 use points::PointScale;
 #[cfg(target_arch = "x86_64")]
@@ -88,6 +89,17 @@ macro_rules! call_with_features {
 }
 #[cfg(target_arch = "x86_64")]
 use call_with_features;
+
+/// The index of the last item, or the largest that gathers can use.
+///
+/// # Panics
+///
+/// If there is none, or items have not four bytes.
+#[inline(always)]
+fn last_index<T>(items: &[T]) -> u32 {
+    const { assert!(size_of::<T>() == 4, "items of four bytes") };
+    items.len().checked_sub(1).expect("items to gather").min(i32::MAX as usize) as u32
+}
 
 /// The numbers from `first` on, for the lanes of [`Simd::load_bits`].
 #[inline(always)]
@@ -174,8 +186,16 @@ pub(crate) trait Simd: Copy {
     /// `points` has at least `stride * point + 8` bytes for each of the first [`Simd::LANES`] points; three numbers have at most 64
     /// bits, and each at most 24.
     unsafe fn gather_lattice_points(points: &[u8], stride: usize, n_bits: u32, indices: &[u32; 16]) -> [Self; 3];
+    /// Gathers items of four bytes as they are, at the first [`Simd::LANES`] indices; those beyond the last give it. There must
+    /// be items.
+    fn gather_bits<T: NoUninit>(from: &[T], indices: &[u32]) -> Self;
     /// Loads the first [`Simd::LANES`] numbers of a slice as they are, without conversion.
     fn load_bits(from: &[u32]) -> Self;
+    /// Writes all lanes as they are to the beginning of a slice.
+    #[inline(always)]
+    fn store_bits(self, to: &mut [u32]) {
+        self.store(bytemuck::cast_slice_mut(to));
+    }
     /// Moves each lane i to lane i ^ `flip`, which is less than [`Simd::LANES`].
     fn reflect(self, flip: u32) -> Self;
     /// Writes the lanes with a bit in `mask` in order to a slice with room for all lanes. Returns how many there are; numbers
@@ -290,6 +310,14 @@ impl Simd for Portable {
         let number = |word: u64, axis: u32| (word >> (axis * n_bits)) & ((1 << n_bits) - 1);
         [0, 1, 2].map(|axis| Self(words.map(|word| number(word, axis) as f32)))
     }
+    #[inline(always)]
+    fn gather_bits<T: NoUninit>(from: &[T], indices: &[u32]) -> Self {
+        let mut gathered = Self([0.0; 8]);
+        for lane in 0..8 {
+            gathered.0[lane] = f32::from_bits(bytemuck::cast(from[indices[lane].min(last_index(from)) as usize]));
+        }
+        gathered
+    }
     methods! {
         fn store(self, to: &mut [f32]) -> () = to[..8].copy_from_slice(&self.0);
         fn splat(x: f32) -> Self = Self([x; 8]);
@@ -371,6 +399,34 @@ mod tests {
                     }
                 }
             }
+        }
+    }
+
+    /// Gathers numbers at indices within and beyond a slice.
+    struct GathersBits;
+
+    impl Kernel for GathersBits {
+        type Output = ();
+        #[inline(always)]
+        fn run<S: Simd>(self) {
+            // Numbers that are no f32 keep their bits.
+            let numbers: [u32; 20] = std::array::from_fn(|index| 0x7fa0_0000 + index as u32);
+            let indices = [3, 0, 19, 7, u32::MAX, 1 << 31, 20, 5, 19, 2, 11, 4, 1 << 30, 0, 18, 6];
+            for n in 1..=numbers.len() {
+                let mut gathered = [0; 16];
+                S::gather_bits(&numbers[..n], &indices).store_bits(&mut gathered);
+                for lane in 0..S::LANES {
+                    assert_eq!(gathered[lane], numbers[(n - 1).min(indices[lane] as usize)]);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn bits_are_gathered_alike_on_every_instruction_set() {
+        for instructions in InstructionSet::available() {
+            // SAFETY: they are available.
+            unsafe { instructions.call(GathersBits) };
         }
     }
 

@@ -11,4 +11,4 @@ pub mod materials;
 mod mip_map;
 #[cfg(test)]
 mod tests;
-mod texel;
+pub(crate) mod texel;

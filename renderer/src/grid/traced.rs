@@ -24,6 +24,7 @@ use crate::{
     texture::{
         footprint::{Footprints, texture_point},
         materials::{PointMaterial, TracedMaterials},
+        texel::Texel,
     },
 };
 use corners::Corners;
@@ -43,9 +44,9 @@ pub struct TracedMesh {
     corners: Corners,
     /// The number of each triangle in the file.
     file_indices: PackedNumbers,
-    /// sRGB, one for each vertex; empty in a mesh without colours.
+    /// One for each vertex; empty in a mesh without colours.
     #[serde(skip)]
-    colors: Section<[u8; 3]>,
+    colors: Section<Texel>,
     /// One for each vertex; empty in a mesh without textures.
     #[serde(skip)]
     texture_coordinates: Section<[f32; 2]>,
@@ -77,7 +78,7 @@ impl TracedMesh {
 
     fn vertex_bytes(mesh: &Mesh) -> u64 {
         let bytes_per_vertex = Positions::bytes_per_vertex(mesh.lattice.as_ref())
-            + usize::from(!mesh.colors.is_empty()) * size_of::<[u8; 3]>()
+            + usize::from(!mesh.colors.is_empty()) * size_of::<Texel>()
             + usize::from(!mesh.normals.is_empty()) * size_of::<Normal>()
             + usize::from(!mesh.texture_coordinates.is_empty()) * size_of::<[f32; 2]>();
         bytes_per_vertex as u64 * vertices_in_order(mesh)
@@ -97,10 +98,10 @@ impl TracedMesh {
             positions: Positions::new(&vertices, lattice, &kept_vertices),
             corners,
             file_indices,
-            colors: of_vertices(&colors, &kept_vertices).into(),
-            normals: of_vertices(&normals, &kept_vertices).into(),
+            colors: of_vertices(&colors, &kept_vertices, stored_color).into(),
+            normals: of_vertices(&normals, &kept_vertices, |_, normal| *normal).into(),
             texture_coordinates: if is_textured {
-                of_vertices(&texture_coordinates, &kept_vertices).into()
+                of_vertices(&texture_coordinates, &kept_vertices, |_, coordinates| *coordinates).into()
             } else {
                 Section::default()
             },
@@ -195,8 +196,7 @@ impl TracedMesh {
         footprints: &Footprints,
         materials: &mut [Option<PointMaterial>; 64],
     ) {
-        let triangles = hits.iter().map(|hit| (!hit.is_miss() && !hit.is_cap()).then_some(hit.triangle));
-        self.materials.find(instructions, triangles, footprints, materials);
+        self.materials.find(instructions, hits, footprints, materials);
     }
 
     /// Whether a ray passes a triangle that it hits, where the triangle's material has a gap.
@@ -285,46 +285,34 @@ impl TracedMesh {
         unsafe { self.positions.gather(vertices) }
     }
 
-    /// Gathers the normals of triangles' corners, by corner; the mesh must have normals.
+    /// The vertices of triangles' corners, one triangle per lane, by corner. Lanes from [`Simd::LANES`] on hold none.
     #[inline(always)]
-    pub(crate) fn gather_corner_normals(&self, triangle_indices: &[u32; 16]) -> [[Normal; 16]; 3] {
-        let mut normals = [[Normal::OF_TRIANGLE; 16]; 3];
-        for (lane, &triangle_idx) in triangle_indices.iter().enumerate() {
-            let [a, b, c] = self.corners.of(triangle_idx);
-            normals[0][lane] = self.normals[a as usize];
-            normals[1][lane] = self.normals[b as usize];
-            normals[2][lane] = self.normals[c as usize];
-        }
-        normals
+    pub(crate) fn corner_vertices<S: Simd>(&self, triangle_indices: &[u32; 16]) -> [[u32; 16]; 3] {
+        self.corners.of_lanes::<S>(triangle_indices)
     }
 
-    /// Gathers the colours of triangles' corners, in linear light, by corner and channel; the mesh must have colours.
+    /// Gathers the bits of vertices' normals into as many lanes as a vector has; the mesh must have normals.
     #[inline(always)]
-    pub(crate) fn gather_corner_colors(&self, triangle_indices: &[u32; 16]) -> [[[f32; 16]; 3]; 3] {
-        let mut colors = [[[0.0; 16]; 3]; 3];
-        for (lane, &triangle_idx) in triangle_indices.iter().enumerate() {
-            let corners = self.corners.of(triangle_idx);
-            for (corner, &vertex) in corners.iter().enumerate() {
-                let [red, green, blue] = self.colors[vertex as usize].map(srgb::decode);
-                let of_corner = &mut colors[corner];
-                (of_corner[0][lane], of_corner[1][lane], of_corner[2][lane]) = (red, green, blue);
-            }
-        }
-        colors
+    pub(crate) fn gather_normals<S: Simd>(&self, vertices: &[u32; 16], to: &mut [u32]) {
+        S::gather_bits(&self.normals, vertices).store_bits(to);
     }
 
-    /// Gathers the texture coordinates of triangles' corners, by corner; the mesh must have textures.
+    /// Gathers the bits of vertices' colours into as many lanes as a vector has; the mesh must have colours.
     #[inline(always)]
-    pub(crate) fn gather_corner_coordinates(&self, triangle_indices: &[u32; 16]) -> [[[f32; 16]; 2]; 3] {
-        let mut coordinates = [[[0.0; 16]; 2]; 3];
-        for (lane, &triangle_idx) in triangle_indices.iter().enumerate() {
-            let corners = self.corners.of(triangle_idx);
-            for (corner, &vertex) in corners.iter().enumerate() {
-                let [u, v] = self.texture_coordinates[vertex as usize];
-                (coordinates[corner][0][lane], coordinates[corner][1][lane]) = (u, v);
-            }
+    pub(crate) fn gather_colors<S: Simd>(&self, vertices: &[u32; 16], to: &mut [u32]) {
+        S::gather_bits(&self.colors, vertices).store_bits(to);
+    }
+
+    /// Gathers the texture coordinates of vertices, u and v, into as many lanes as a vector has; the mesh must have textures.
+    #[inline(always)]
+    pub(crate) fn gather_coordinates<S: Simd>(&self, vertices: &[u32; 16], [to_u, to_v]: [&mut [f32]; 2]) {
+        let coordinates: &[f32] = bytemuck::cast_slice(&self.texture_coordinates);
+        let (mut of_u, mut of_v) = ([0; 16], [0; 16]);
+        for lane in 0..16 {
+            (of_u[lane], of_v[lane]) = (2 * vertices[lane], 2 * vertices[lane] + 1);
         }
-        coordinates
+        S::gather_bits(coordinates, &of_u).store(to_u);
+        S::gather_bits(coordinates, &of_v).store(to_v);
     }
 }
 
@@ -333,22 +321,31 @@ fn vertices_in_order(mesh: &Mesh) -> u64 {
     mesh.vertices.len() as u64 * 3 / 2
 }
 
-/// Values of the kept vertices; none where the mesh has none.
-fn of_vertices<T: Pod + Send + Sync>(values: &[T], kept: &[Vec<u32>]) -> Vec<T> {
+/// Values of the kept vertices, as `stored` gives them by the vertices' numbers as loaded; none where the mesh has none.
+fn of_vertices<T: Sync, U: Pod + Send>(
+    values: &[T],
+    kept: &[Vec<u32>],
+    stored: impl Fn(u32, &T) -> U + Sync,
+) -> Vec<U> {
     if values.is_empty() {
         return Vec::new();
     }
-    in_order(values, kept, 1, 0, |value, to| to[0] = *value)
+    in_order(kept, 1, 0, |vertex, to| to[0] = stored(vertex, &values[vertex as usize]))
 }
 
-/// The kept vertices' values as `write` gives them, `stride` items for each, and so many more zeros. Threads write in parallel,
-/// because the first write to fresh memory waits for page faults.
-fn in_order<T: Sync, U: Pod + Send>(
-    values: &[T],
+/// The colour of a vertex in four bytes, whose light is read with few instructions. Neighbours are rounded up and down in turn, as
+/// those of a texture are.
+fn stored_color(vertex: u32, color: &[u8; 3]) -> Texel {
+    Texel::new(color.map(srgb::decode), [vertex, vertex / 16])
+}
+
+/// The kept vertices' values as `write` gives them by the vertices' numbers as loaded, `stride` items for each, and so many more
+/// zeros. Threads write in parallel, because the first write to fresh memory waits for page faults.
+fn in_order<U: Pod + Send>(
     kept: &[Vec<u32>],
     stride: usize,
     n_zeros: usize,
-    write: impl Fn(&T, &mut [U]) + Sync,
+    write: impl Fn(u32, &mut [U]) + Sync,
 ) -> Vec<U> {
     let mut in_order = vec![U::zeroed(); kept.iter().map(Vec::len).sum::<usize>() * stride + n_zeros];
     let mut rest = &mut *in_order;
@@ -360,7 +357,7 @@ fn in_order<T: Sync, U: Pod + Send>(
     }
     parts.into_par_iter().for_each(|(part, of_part)| {
         for (item, &vertex) in part.chunks_exact_mut(stride).zip(of_part) {
-            write(&values[vertex as usize], item);
+            write(vertex, item);
         }
     });
     in_order

@@ -33,6 +33,12 @@ impl Normal {
         Self([square.x, square.y].map(|x| (x * EDGE + 0.5).floor() as i16))
     }
 
+    /// The normal of these bits, as [`Simd::gather_bits`](crate::simd::Simd::gather_bits) finds them.
+    #[inline(always)]
+    pub(crate) fn of_bits(bits: u32) -> Self {
+        bytemuck::cast(bits)
+    }
+
     /// The unit vector; `None` for [`Normal::OF_TRIANGLE`].
     #[must_use]
     pub fn vector(self) -> Option<Vec3> {

@@ -348,8 +348,8 @@ impl<'a> PathTracer<'a> {
             return Some(Scattering::matte(surface, shader.albedo(path.hit, surface.color)));
         };
         let of_mesh = if self.grid.mesh().has_colors() { surface.color } else { Vec3::ONE };
-        let color = of_mesh * Vec3::from(material.base_color);
-        *light += path.weight * Vec3::from(material.emissive);
+        let color = of_mesh * material.base_color;
+        *light += path.weight * material.emissive;
         match material.finish {
             Finish::Unlit => {
                 *light += path.weight * color;

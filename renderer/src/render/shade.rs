@@ -91,8 +91,8 @@ impl<'a> Shader<'a> {
                 let ambient = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
                 let scattered = KEY_LIGHT * key + ambient * visibility.ambient_visibility;
                 let Some(material) = material else { return self.albedo(hit, color) * scattered };
-                let color = if self.mesh.has_colors() { color } else { Vec3::ONE } * Vec3::from(material.base_color);
-                let emissive = Vec3::from(material.emissive);
+                let color = if self.mesh.has_colors() { color } else { Vec3::ONE } * material.base_color;
+                let emissive = material.emissive;
                 match material.finish {
                     Finish::Unlit => color,
                     Finish::Matte => color * scattered + emissive,

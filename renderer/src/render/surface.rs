@@ -8,7 +8,10 @@ use crate::{
     intersect::{ray::Hit, triangle},
     model::normal::Normal,
     simd::{Kernel, Simd},
-    texture::footprint::{self, FootprintLanes, Footprints, WideRay, WideRays},
+    texture::{
+        footprint::{self, FootprintLanes, Footprints, WideRay, WideRays},
+        texel::{Texel, UNITS},
+    },
 };
 
 /// Hits that are done at once.
@@ -87,33 +90,46 @@ fn gather<S: Simd>(mesh: &TracedMesh, rays: impl WideRays, hits: &[Hit], samples
         triangles[lane] = hits[sample].triangle;
         set(&mut of_lanes, lane, rays.direction(sample));
     }
-    let mut corners = [[[0.0; N]; 3]; 3];
+    let mut lanes = Lanes {
+        directions: of_lanes,
+        corners: [[[0.0; N]; 3]; 3],
+        normals: mesh.has_normals().then_some([[0; N]; 3]),
+        colors: mesh.has_colors().then_some([[0; N]; 3]),
+        coordinates: mesh.has_texture_coordinates().then_some([[[0.0; N]; 2]; 3]),
+    };
     for first in (0..N).step_by(S::LANES) {
         let mut next = [0; 16];
         next[..S::LANES].copy_from_slice(&triangles[first..first + S::LANES]);
-        let gathered = mesh.gather_corners::<S>(&next);
+        let vertices = mesh.corner_vertices::<S>(&next);
+        let [a, b, c] = &vertices;
+        // SAFETY: all vertices of triangles exist.
+        let positions = unsafe { mesh.gather_vertices::<S>([a, b, c]) };
         for corner in 0..3 {
-            for axis in 0..3 {
-                gathered[corner][axis].store(&mut corners[corner][axis][first..]);
+            for (position, lanes) in positions[corner].iter().zip(&mut lanes.corners[corner]) {
+                position.store(&mut lanes[first..]);
+            }
+            if let Some(normals) = &mut lanes.normals {
+                mesh.gather_normals::<S>(&vertices[corner], &mut normals[corner][first..]);
+            }
+            if let Some(colors) = &mut lanes.colors {
+                mesh.gather_colors::<S>(&vertices[corner], &mut colors[corner][first..]);
+            }
+            if let Some(coordinates) = &mut lanes.coordinates {
+                let to = coordinates[corner].each_mut().map(|lanes| &mut lanes[first..]);
+                mesh.gather_coordinates::<S>(&vertices[corner], to);
             }
         }
     }
-    Lanes {
-        directions: of_lanes,
-        corners,
-        normals: mesh.has_normals().then(|| mesh.gather_corner_normals(&triangles)),
-        colors: mesh.has_colors().then(|| mesh.gather_corner_colors(&triangles)),
-        coordinates: mesh.has_texture_coordinates().then(|| mesh.gather_corner_coordinates(&triangles)),
-    }
+    lanes
 }
 
-/// Rays, the triangles that they hit, and the normals, linear colours and texture coordinates of their corners, if the mesh
-/// has them.
+/// Rays, the triangles that they hit, and the normals, colours (both as bits) and texture coordinates of their corners, if the
+/// mesh has them.
 struct Lanes {
     directions: Vectors,
     corners: [Vectors; 3],
-    normals: Option<[[Normal; N]; 3]>,
-    colors: Option<[Vectors; 3]>,
+    normals: Option<[[u32; N]; 3]>,
+    colors: Option<[[u32; N]; 3]>,
     coordinates: Option<[footprint::Points; 3]>,
 }
 
@@ -140,18 +156,21 @@ impl Lanes {
         if let Some([a, b, c]) = &self.normals {
             for lane in 0..N {
                 let (of_triangle, weight) = (get(&of_triangles, lane), get(&weights, lane));
-                let normal = corner_direction(a[lane], of_triangle) * weight.x
-                    + corner_direction(b[lane], of_triangle) * weight.y
-                    + corner_direction(c[lane], of_triangle) * weight.z;
+                let normal = corner_direction(Normal::of_bits(a[lane]), of_triangle) * weight.x
+                    + corner_direction(Normal::of_bits(b[lane]), of_triangle) * weight.y
+                    + corner_direction(Normal::of_bits(c[lane]), of_triangle) * weight.z;
                 set(&mut shadings, lane, visible_normal(normal, get(&geometrics, lane), get(&to_eyes, lane)));
             }
         }
         let mut colors = [[0.0; N]; 3];
         if let Some([a, b, c]) = &self.colors {
-            for lane in 0..N {
-                let weight = get(&weights, lane);
-                let color = get(a, lane) * weight.x + get(b, lane) * weight.y + get(c, lane) * weight.z;
-                set(&mut colors, lane, color);
+            for (channel, colors) in colors.iter_mut().enumerate() {
+                let light = |texel: u32| Texel::of_bits(texel).scaled(channel);
+                for lane in 0..N {
+                    let [a, b, c] = [light(a[lane]), light(b[lane]), light(c[lane])];
+                    let sum = a * weights[0][lane] + b * weights[1][lane] + c * weights[2][lane];
+                    colors[lane] = sum * UNITS[channel];
+                }
             }
         }
         (weights, [to_eyes, geometrics, shadings, colors])

@@ -2,8 +2,10 @@
 
 use std::arch::x86_64::*;
 
+use bytemuck::NoUninit;
+
 use super::{
-    Real, Simd, call_with_features,
+    Real, Simd, call_with_features, last_index,
     points::{EXPONENT_BITS, LARGEST_EXPONENT, LOADED, POINT, PointScale},
 };
 
@@ -225,6 +227,15 @@ impl Simd for Avx2 {
             coordinates
         }
     }
+    #[inline(always)]
+    fn gather_bits<T: NoUninit>(from: &[T], indices: &[u32]) -> Self {
+        // SAFETY: as above; all indices are those of items.
+        unsafe {
+            let indices = _mm256_loadu_si256(first::<8, _>(indices).as_ptr().cast());
+            let indices = _mm256_min_epu32(indices, _mm256_set1_epi32(last_index(from) as i32));
+            Self(_mm256_i32gather_ps::<4>(from.as_ptr().cast(), indices))
+        }
+    }
     intrinsics! {
         fn splat(x: f32) -> Self = Self(_mm256_set1_ps(x));
         fn load(from: &[f32]) -> Self = Self(_mm256_loadu_ps(first::<8, _>(from).as_ptr()));
@@ -388,6 +399,15 @@ impl Simd for Avx512 {
                 *coordinates = Self(_mm512_cvtepi32_ps(numbers));
             }
             coordinates
+        }
+    }
+    #[inline(always)]
+    fn gather_bits<T: NoUninit>(from: &[T], indices: &[u32]) -> Self {
+        // SAFETY: as above; all indices are those of items.
+        unsafe {
+            let indices = _mm512_loadu_epi32(first::<16, _>(indices).as_ptr().cast());
+            let indices = _mm512_min_epu32(indices, _mm512_set1_epi32(last_index(from) as i32));
+            Self(_mm512_i32gather_ps::<4>(indices, from.as_ptr().cast()))
         }
     }
     intrinsics! {

@@ -47,6 +47,8 @@ pub(super) struct Squares {
     pub(super) step: Vec2,
     /// At least 1.
     pub(super) n: u32,
+    /// 1 / n.
+    pub(super) part: f32,
     /// In texels of the image.
     pub(super) width: f32,
 }
@@ -55,7 +57,7 @@ pub(super) struct Squares {
 const REACH: f32 = 1.5;
 
 /// Limit of [`Squares::n`]: longer footprints are blurred across.
-const MOST_SQUARES: f32 = 5.0;
+pub(super) const MOST_SQUARES: u32 = 3;
 
 /// Rays by number, and the change of their directions across the width and the height of what each stands for.
 pub(crate) trait WideRays: Copy {
@@ -206,7 +208,6 @@ impl Footprint {
 
     /// The squares for an image of `size` texels. Nothing branches, so that a loop becomes vector instructions.
     #[inline(always)]
-    #[expect(clippy::manual_clamp, reason = "clamp would leave NaN, of which no number of squares can be made")]
     pub(super) fn squares(&self, size: Vec2) -> Squares {
         // The axes are those of the ellipse that the sides span: the singular values and vectors of a matrix.
         let (a, b) = (self.sides[0] * size, self.sides[1] * size);
@@ -216,19 +217,21 @@ impl Footprint {
         let major = major_squared.sqrt();
         // Texels are never narrower than one.
         let minor = (area / major).max(1.0);
-        let (n, integer) = round((major / (minor * REACH)).min(MOST_SQUARES).max(1.0));
+        // `clamp` would leave NaN, of which no number of squares can be made.
+        let (n, integer) = round((major / (minor * REACH)).min(MOST_SQUARES as f32).max(1.0));
         let (part, is_one) = (1.0 / n, integer == 1);
 
         // A single square needs no axis, and a circle has none.
         let (xx, yy, xy) = (a.x * a.x + b.x * b.x, a.y * a.y + b.y * b.y, a.x * a.y + b.x * b.y);
         let along = if xx > yy { Vec2::new(major_squared - yy, xy) } else { Vec2::new(xy, major_squared - xx) };
         let scale = if is_one { 0.0 } else { major / along.length() };
-        let axis = along * scale / size;
+        let axis = along * scale * (1.0 / size);
         let step = axis * part;
         Squares {
             first: self.centre - (axis - step) * 0.5,
             step,
             n: integer as u32,
+            part,
             width: (major * part * (1.0 / REACH)).max(minor),
         }
     }
@@ -308,12 +311,14 @@ mod tests {
         assert_eq!(squares([0.1, 0.0], [0.0, 0.2]), (1, 0.0, 1.0), "magnified");
         assert_eq!(squares([3.0, 0.0], [0.0, 3.0]), (1, 0.0, 3.0), "as wide as high");
         let (n, step, width) = squares([6.0, 6.0], [1.0, -1.0]);
-        assert!(n == 4 && (step * 4.0 - 72.0f32.sqrt()).abs() < 1e-4 && (width - 2.0f32.sqrt()).abs() < 0.01);
+        assert!(
+            n == 3 && (step * 3.0 - 72.0f32.sqrt()).abs() < 1e-4 && (width * 3.0 * REACH - 72.0f32.sqrt()).abs() < 1e-4
+        );
         let (n, _, width) = squares([1000.0, 0.0], [0.0, 1.0]);
-        assert!(n == 5 && (width * 5.0 * REACH - 1000.0).abs() < 0.1, "blurred across");
+        assert!(n == 3 && (width * 3.0 * REACH - 1000.0).abs() < 0.1, "blurred across");
         for odd in [f32::NAN, f32::INFINITY, f32::MAX, 1e-38] {
             let squares = Footprint { centre: Vec2::splat(odd), sides: [Vec2::splat(odd); 2] }.squares(size);
-            assert!((1..=5).contains(&squares.n), "{odd}");
+            assert!((1..=MOST_SQUARES).contains(&squares.n), "{odd}");
         }
     }
 }

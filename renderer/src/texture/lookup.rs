@@ -2,14 +2,14 @@
 
 use std::array::from_fn;
 
-use glam::{Vec2, Vec3A};
+use glam::Vec2;
 
 use crate::{
     model::material::Wrap,
     simd::{Kernel, Simd},
     texture::{
-        footprint::{self, FootprintLanes, Footprints},
-        level::{Level, blocks_per_row, column_offset, halved, neighbours, row_offset},
+        footprint::{self, FootprintLanes, Footprints, MOST_SQUARES},
+        level::{Level, blocks_per_row, column_offset, halved, neighbours, round, row_offset},
         mip_map::MipMap,
         texel::{Texel, UNITS},
     },
@@ -26,19 +26,22 @@ pub(super) struct Means<'a> {
     /// From texture coordinates of the mesh to those of the texture.
     pub(super) transform: &'a [[f32; 3]; 2],
     pub(super) footprints: &'a Footprints,
-    /// Those beyond the footprints are left as they are.
-    pub(super) means: &'a mut [Vec3A; 64],
+    /// By channel; those beyond the footprints become undefined.
+    pub(super) means: &'a mut [[f32; 64]; 3],
 }
 
-/// The lookups of up to 64 samples: squares on a level, then the same on the next, if that has a part of the light.
+/// The lookups of up to 64 samples: of squares, the first on a level, and the others on the next. A single square may be looked
+/// up on both.
 struct Plans {
     first: [[f32; 64]; 2],
     step: [[f32; 64]; 2],
-    n_squares: [u32; 64],
+    last_square: [u32; 64],
     level: [u32; 64],
-    part_of_next: [f32; 64],
+    n_on_level: [u32; 64],
     /// 0 beyond the samples.
     n_lookups: [u32; 64],
+    /// The part that a lookup has of the light, on the level and on the next.
+    weights: [[f32; 64]; 2],
 }
 
 /// The numbers of samples, in their order, with room for a vector after the last.
@@ -52,8 +55,8 @@ const SAMPLES: [u32; 64 + 16] = {
     samples
 };
 
-/// Most lookups of a sample: five squares, on two levels.
-const MOST_LOOKUPS: u32 = 10;
+/// Most lookups of a sample: a single square may be looked up twice.
+const MOST_LOOKUPS: u32 = if MOST_SQUARES > 2 { MOST_SQUARES } else { 2 };
 
 impl Kernel for Means<'_> {
     type Output = ();
@@ -61,22 +64,28 @@ impl Kernel for Means<'_> {
     #[inline(always)]
     fn run<S: Simd>(self) {
         let mut plans = self.plans();
-        let (mut order, n) = (SAMPLES, self.footprints.n);
-        if plans.would_save_steps() {
-            order = plans.order::<S>();
+        let n = self.footprints.n;
+        let order = if plans.would_save_steps() { Some(plans.order::<S>()) } else { None };
+        if let Some(order) = &order {
             plans.sort(&order[..n]);
         }
-        for (first, samples) in (0..).step_by(N).zip(order[..n].chunks(N)) {
-            let [red, green, blue] = plans.lanes(first, &self.map.levels).lights::<S>(self.map, self.wrap);
-            for (lane, &sample) in samples.iter().enumerate() {
-                self.means[sample as usize % 64] = Vec3A::new(red[lane], green[lane], blue[lane]);
+        for first in (0..n).step_by(N) {
+            let lights = plans.lanes(first, &self.map.levels).lights::<S>(self.map, self.wrap);
+            for (means, lights) in self.means.iter_mut().zip(&lights) {
+                let Some(order) = &order else {
+                    means[first..first + N].copy_from_slice(lights);
+                    continue;
+                };
+                for (&sample, &light) in order[first..n].iter().zip(lights) {
+                    means[sample as usize % 64] = light;
+                }
             }
         }
     }
 }
 
 impl Means<'_> {
-    /// Covers each footprint by squares, and blends two levels for each.
+    /// Covers each footprint by squares, and chooses their levels.
     #[inline(always)]
     fn plans(&self) -> Plans {
         let Self { map, transform, footprints, .. } = self;
@@ -86,10 +95,11 @@ impl Means<'_> {
         let mut plans = Plans {
             first: [[0.0; 64]; 2],
             step: [[0.0; 64]; 2],
-            n_squares: [0; 64],
+            last_square: [0; 64],
             level: [0; 64],
-            part_of_next: [0.0; 64],
+            n_on_level: [0; 64],
             n_lookups: [0; 64],
+            weights: [[0.0; 64]; 2],
         };
         let chunks = footprints.lanes.iter().take(footprints.n.div_ceil(footprint::N));
         for (chunk, footprints) in chunks.enumerate() {
@@ -107,18 +117,33 @@ impl Plans {
         let all = chunk * footprint::N..(chunk + 1) * footprint::N;
         let [first_u, first_v] = self.first.each_mut().map(|lanes| &mut lanes[all.clone()]);
         let [step_u, step_v] = self.step.each_mut().map(|lanes| &mut lanes[all.clone()]);
-        let (n_squares, n_lookups) = (&mut self.n_squares[all.clone()], &mut self.n_lookups[all.clone()]);
-        let (levels, parts_of_next) = (&mut self.level[all.clone()], &mut self.part_of_next[all]);
+        let [weights, weights_of_next] = self.weights.each_mut().map(|lanes| &mut lanes[all.clone()]);
+        let (last_square, levels) = (&mut self.last_square[all.clone()], &mut self.level[all.clone()]);
+        let (n_on_level, n_lookups) = (&mut self.n_on_level[all.clone()], &mut self.n_lookups[all]);
         for lane in 0..footprint::N {
             let squares = footprints.get(lane).transformed(transform).squares(size);
-            let (level, part_of_next) = level_of(squares.width);
-            let (level, part_of_next) = if level < last { (level, part_of_next) } else { (last, 0.0) };
-            // A width just below the next level's needs that level alone.
-            let (level, part_of_next) = if part_of_next < 1.0 { (level, part_of_next) } else { (level + 1, 0.0) };
             (first_u[lane], first_v[lane]) = (squares.first.x, squares.first.y);
             (step_u[lane], step_v[lane]) = (squares.step.x, squares.step.y);
-            (levels[lane], parts_of_next[lane], n_squares[lane]) = (level, part_of_next, squares.n);
-            n_lookups[lane] = if part_of_next > 0.0 { 2 * squares.n } else { squares.n };
+            let (level, fraction) = level_of(squares.width);
+            let (level, fraction) = if level < last { (level, fraction) } else { (last, 0.0) };
+
+            // Of several squares, some are on either level. A single one blends both in the middle quarter between them:
+            // elsewhere it needs one lookup.
+            let part = 4.0 * fraction - 1.5;
+            let part = if part > 0.0 { part } else { 0.0 };
+            let part = if part < 1.0 { part } else { 1.0 };
+            let is_single = squares.n == 1;
+            let of_several = round(squares.n as i32 as f32 * part).1 as u32;
+            let n_on_next = if is_single { u32::from(part == 1.0) } else { of_several };
+            // Where all are on the next level, it takes the place of this one.
+            let is_next = n_on_next == squares.n;
+            let (part, n_on_next) = if is_next { (0.0, 0) } else { (part, n_on_next) };
+            levels[lane] = level + u32::from(is_next);
+            last_square[lane] = squares.n - 1;
+            n_on_level[lane] = squares.n - n_on_next;
+            n_lookups[lane] = squares.n + (u32::from(is_single) & u32::from(part > 0.0));
+            weights[lane] = if is_single { 1.0 - part } else { squares.part };
+            weights_of_next[lane] = if is_single { part } else { squares.part };
         }
     }
 
@@ -147,30 +172,29 @@ impl Plans {
 
     #[inline(always)]
     fn sort(&mut self, order: &[u32]) {
-        let Self { first: [first_u, first_v], step: [step_u, step_v], n_squares, level, part_of_next, n_lookups } =
-            self;
-        sort(first_u, order);
-        sort(first_v, order);
-        sort(step_u, order);
-        sort(step_v, order);
-        sort(n_squares, order);
-        sort(level, order);
-        sort(part_of_next, order);
-        sort(n_lookups, order);
+        let Self { first, step, last_square, level, n_on_level, n_lookups, weights } = self;
+        for numbers in [first, step, weights] {
+            sort(&mut numbers[0], order);
+            sort(&mut numbers[1], order);
+        }
+        for numbers in [last_square, level, n_on_level, n_lookups] {
+            sort(numbers, order);
+        }
     }
 
     /// The plans of [`N`] samples.
     #[inline(always)]
     fn lanes(&self, first: usize, of_map: &[Level]) -> PlanLanes {
-        let (levels, parts): ([u32; N], [f32; N]) = (lanes(&self.level, first), lanes(&self.part_of_next, first));
+        let levels: [u32; N] = lanes(&self.level, first);
         let mut plans = PlanLanes {
             first: [lanes(&self.first[0], first), lanes(&self.first[1], first)],
             step: [lanes(&self.step[0], first), lanes(&self.step[1], first)],
-            n_squares: lanes(&self.n_squares, first),
-            weights: [[0.0; N]; 2],
+            last_square: lanes(&self.last_square, first),
+            n_on_level: lanes(&self.n_on_level, first),
+            n_lookups: lanes(&self.n_lookups, first),
+            weights: [lanes(&self.weights[0], first), lanes(&self.weights[1], first)],
             sizes: [[[0; N]; 2]; 2],
             firsts: [[0; N]; 2],
-            n_lookups: lanes(&self.n_lookups, first),
         };
         // Most samples of a tile show one or two levels, and a comparison for each of these is faster than a search by sample.
         let [finest, coarsest] = [levels.into_iter().min(), levels.into_iter().max()].map(|level| level.unwrap_or(0));
@@ -181,10 +205,6 @@ impl Plans {
                     firsts[lane] = select(levels[lane] == level, firsts[lane], of_level);
                 }
             }
-        }
-        for (lane, part) in parts.into_iter().enumerate() {
-            let weight = 1.0 / plans.n_squares[lane] as i32 as f32;
-            (plans.weights[0][lane], plans.weights[1][lane]) = (weight * (1.0 - part), weight * part);
         }
         let size = of_map[0].size;
         for (next, sizes) in plans.sizes.iter_mut().enumerate() {
@@ -214,14 +234,14 @@ fn lanes<T: Copy>(numbers: &[T; 64], first: usize) -> [T; N] {
 struct PlanLanes {
     first: [[f32; N]; 2],
     step: [[f32; N]; 2],
-    n_squares: [u32; N],
-    /// The part that a lookup has of the light.
+    last_square: [u32; N],
+    n_on_level: [u32; N],
+    n_lookups: [u32; N],
     weights: [[f32; N]; 2],
     /// Columns and rows of texels.
     sizes: [[[u32; N]; 2]; 2],
     /// Indices of first texels.
     firsts: [[u32; N]; 2],
-    n_lookups: [u32; N],
 }
 
 impl PlanLanes {
@@ -232,14 +252,14 @@ impl PlanLanes {
         let n_lookups = self.n_lookups.into_iter().max().unwrap_or(0);
         // Find the next texels before the last are read: memory delivers them meanwhile.
         let mut points = [Points::NONE; 2];
-        points[0].find::<S>(self, 0, map, wrap);
+        points[0].find::<S, true>(self, 0, map, wrap);
         for number in 0..n_lookups {
             let [even, odd] = &mut points;
             let (points, next) = if number % 2 == 0 { (even, odd) } else { (odd, even) };
             if number + 1 < n_lookups {
-                next.find::<S>(self, number + 1, map, wrap);
+                next.find::<S, false>(self, number + 1, map, wrap);
             }
-            points.blend(map, &mut lights);
+            points.blend::<S>(map, &mut lights);
         }
         for (lights, unit) in lights.iter_mut().zip(UNITS) {
             lights.iter_mut().for_each(|light| *light *= unit);
@@ -264,14 +284,15 @@ impl Points {
 
     /// Finds the texels of the lookup of a number; lanes without one have the weight 0.
     #[inline(always)]
-    fn find<S: Simd>(&mut self, plans: &PlanLanes, number: u32, map: &MipMap, wrap: [Wrap; 2]) {
+    fn find<S: Simd, const IS_FIRST: bool>(&mut self, plans: &PlanLanes, number: u32, map: &MipMap, wrap: [Wrap; 2]) {
         let (mut u, mut v) = ([0.0; N], [0.0; N]);
         let (mut widths, mut heights, mut firsts) = ([1; N], [1; N], [0; N]);
         for n in 0..N {
-            let is_next = number >= plans.n_squares[n];
-            let square = (if is_next { number - plans.n_squares[n] } else { number }) as i32 as f32;
-            u[n] = plans.first[0][n] + plans.step[0][n] * square;
-            v[n] = plans.first[1][n] + plans.step[1][n] * square;
+            // The first lookup is on the level.
+            let is_next = !IS_FIRST && number >= plans.n_on_level[n];
+            let square = number.min(plans.last_square[n]) as i32 as f32;
+            u[n] = plans.first[0][n] + if IS_FIRST { 0.0 } else { plans.step[0][n] * square };
+            v[n] = plans.first[1][n] + if IS_FIRST { 0.0 } else { plans.step[1][n] * square };
             let weight = select(is_next, plans.weights[0][n].to_bits(), plans.weights[1][n].to_bits());
             self.weights[n] = if number < plans.n_lookups[n] { f32::from_bits(weight) } else { 0.0 };
             widths[n] = select(is_next, plans.sizes[0][0][n], plans.sizes[1][0][n]);
@@ -297,13 +318,12 @@ impl Points {
     /// Adds the light of the points, in units of [`UNITS`].
     #[inline(always)]
     #[expect(clippy::needless_range_loop, reason = "`map` and `zip` of these arrays made a textured frame 4 % slower")]
-    fn blend(&self, map: &MipMap, lights: &mut [[f32; N]; 3]) {
-        let mut texels = [[Texel::default(); N]; 4];
-        for n in 0..N {
-            texels[0][n] = map.texels[self.indices[0][n] as usize];
-            texels[1][n] = map.texels[self.indices[1][n] as usize];
-            texels[2][n] = map.texels[self.indices[2][n] as usize];
-            texels[3][n] = map.texels[self.indices[3][n] as usize];
+    fn blend<S: Simd>(&self, map: &MipMap, lights: &mut [[f32; N]; 3]) {
+        let mut texels = [[0; N]; 4];
+        for (texels, indices) in texels.iter_mut().zip(&self.indices) {
+            for first in (0..N).step_by(S::LANES) {
+                S::gather_bits(&map.texels, &indices[first..]).store_bits(&mut texels[first..]);
+            }
         }
         let mut parts = [[0.0; N]; 4];
         for n in 0..N {
@@ -313,9 +333,10 @@ impl Points {
             (parts[2][n], parts[3][n]) = (below * (1.0 - x), below * x);
         }
         for (channel, lights) in lights.iter_mut().enumerate() {
+            let light = |texel: u32| Texel::of_bits(texel).scaled(channel);
             for n in 0..N {
-                let above = texels[0][n].scaled(channel) * parts[0][n] + texels[1][n].scaled(channel) * parts[1][n];
-                let below = texels[2][n].scaled(channel) * parts[2][n] + texels[3][n].scaled(channel) * parts[3][n];
+                let above = light(texels[0][n]) * parts[0][n] + light(texels[1][n]) * parts[1][n];
+                let below = light(texels[2][n]) * parts[2][n] + light(texels[3][n]) * parts[3][n];
                 lights[n] += above + below;
             }
         }
@@ -353,16 +374,14 @@ fn neighbours_in_rows(
     }
 }
 
-/// The level whose texels are the next smaller than `width`, in texels of the image, and the part of the next level.
+/// The level whose texels are the next smaller than `width`, in texels of the image, and the fraction of the way to the next.
 ///
-/// A number's exponent and mantissa are its logarithm, linear between powers of two. The part changes in the middle
-/// quarter alone: other widths need one lookup. Nothing branches, so that a loop becomes vector instructions.
+/// A number's exponent and mantissa are its logarithm, linear between powers of two. Nothing branches, so that a loop becomes
+/// vector instructions.
 #[inline(always)]
 fn level_of(width: f32) -> (u32, f32) {
     const MANTISSA: u32 = 0x007f_ffff;
     // Not less than a texel; NaN is one.
     let bits = (if width > 1.0 { width } else { 1.0 }).to_bits();
-    let part = 4.0 * (f32::from_bits(bits & MANTISSA | 1.0f32.to_bits()) - 1.0) - 1.5;
-    let part = if part > 0.0 { part } else { 0.0 };
-    ((bits >> 23) - 127, if part < 1.0 { part } else { 1.0 })
+    ((bits >> 23) - 127, f32::from_bits(bits & MANTISSA | 1.0f32.to_bits()) - 1.0)
 }

@@ -2,10 +2,11 @@
 
 mod stored;
 
-use glam::{Vec2, Vec3A};
+use glam::{Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    intersect::ray::Hit,
     model::material::{Image, Material, Materials, TextureUse, Wrap},
     scene_file::section::Section,
     simd::InstructionSet,
@@ -63,11 +64,11 @@ struct Gaps {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PointMaterial {
     /// Linear, without the vertices' colours.
-    pub base_color: Vec3A,
+    pub base_color: Vec3,
     /// The surface's answer to light.
     pub finish: Finish,
     /// Linear light that the surface gives off.
-    pub emissive: Vec3A,
+    pub emissive: Vec3,
 }
 
 /// The answer of a surface to light.
@@ -154,9 +155,9 @@ impl TracedMaterials {
             };
             TracedMaterial {
                 plain: PointMaterial {
-                    base_color: Vec3A::new(red, green, blue),
+                    base_color: Vec3::new(red, green, blue),
                     finish,
-                    emissive: Vec3A::from_array(material.emissive),
+                    emissive: Vec3::from_array(material.emissive),
                 },
                 base_color_texture: texture(material.base_color_texture, Part::Colors),
                 gloss_texture,
@@ -202,25 +203,32 @@ impl TracedMaterials {
         self.has_masks
     }
 
-    /// Finds the materials of triangles where up to 64 samples show them; `None` for samples without a triangle, and in meshes
-    /// without materials. There are footprints if triangles have texture coordinates.
+    /// Finds the materials where up to 64 rays hit triangles; `None` for misses, caps, and in meshes without materials. There are
+    /// footprints if triangles have texture coordinates.
     pub(crate) fn find(
         &self,
         instructions: InstructionSet,
-        triangles: impl Iterator<Item = Option<u32>>,
+        hits: &[Hit],
         footprints: &Footprints,
         points: &mut [Option<PointMaterial>; 64],
     ) {
         // Find the samples on triangles, and their materials.
-        let (mut samples, mut indices, mut n) = ([0; 64], [0; 64], 0);
-        for (sample, triangle_idx) in triangles.enumerate().take(64) {
+        let (mut samples, mut n) = ([0; 64], 0);
+        for (sample, hit) in hits.iter().enumerate().take(64) {
             points[sample] = None;
-            if let Some(triangle_idx) = triangle_idx {
-                (samples[n], indices[n]) = (sample, self.index_of_triangle(triangle_idx));
-                n += 1;
-            }
+            samples[n] = sample;
+            n += usize::from(!hit.is_miss() && !hit.is_cap());
         }
-        let (samples, indices) = (&samples[..n], &indices[..n]);
+        let samples = &samples[..n];
+        if self.of_triangles.is_empty() {
+            self.set(instructions, 0, (samples, footprints), points);
+            return;
+        }
+        let mut indices = [0; 64];
+        for (index, &sample) in indices.iter_mut().zip(samples) {
+            *index = self.index_of_triangle(hits[sample].triangle);
+        }
+        let indices = &indices[..n];
         if let Some(&first) = indices.first()
             && indices.iter().all(|&index| index == first)
         {
@@ -256,24 +264,26 @@ impl TracedMaterials {
         else {
             return;
         };
-        let mut means = [Vec3A::ONE; 64];
+        let mut means = [[1.0; 64]; 3];
         self.look_up(instructions, base_color_texture.as_ref(), footprints, &mut means);
-        for (&sample, &mean) in samples.iter().zip(&means) {
+        for (index, &sample) in samples.iter().enumerate().take(64) {
+            let mean = Vec3::new(means[0][index], means[1][index], means[2][index]);
             points[sample] = Some(PointMaterial { base_color: plain.base_color * mean, ..*plain });
         }
         if self.look_up(instructions, gloss_texture.as_ref(), footprints, &mut means) {
-            for (&sample, mean) in samples.iter().zip(&means) {
+            let [_, roughnesses, metallics] = &means;
+            for (&sample, (of_roughness, of_metallic)) in samples.iter().zip(roughnesses.iter().zip(metallics)) {
                 if let Some(PointMaterial { finish: Finish::Glossy { roughness, metallic }, .. }) = &mut points[sample]
                 {
-                    *roughness *= mean.y;
-                    *metallic *= mean.z;
+                    *roughness *= of_roughness;
+                    *metallic *= of_metallic;
                 }
             }
         }
         if self.look_up(instructions, emissive_texture.as_ref(), footprints, &mut means) {
-            for (&sample, &mean) in samples.iter().zip(&means) {
+            for (index, &sample) in samples.iter().enumerate().take(64) {
                 if let Some(point) = &mut points[sample] {
-                    point.emissive *= mean;
+                    point.emissive *= Vec3::new(means[0][index], means[1][index], means[2][index]);
                 }
             }
         }
@@ -285,7 +295,7 @@ impl TracedMaterials {
         instructions: InstructionSet,
         texture: Option<&Texture>,
         footprints: &Footprints,
-        means: &mut [Vec3A; 64],
+        means: &mut [[f32; 64]; 3],
     ) -> bool {
         let Some(Texture { index, wrap, transform }) = texture.filter(|_| !footprints.is_empty()) else { return false };
         let map = &self.maps[*index];

@@ -181,10 +181,12 @@ mod tests {
         const IDENTITY: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
         let of_block = |block: &[Footprint]| {
             let footprints = &block.iter().copied().collect();
-            let mut means = [Vec3A::ZERO; 64];
+            let mut means = [[0.0; 64]; 3];
             // SAFETY: the callers ask for available instructions alone.
             unsafe { instructions.call(Means { map, wrap, transform: &IDENTITY, footprints, means: &mut means }) };
-            means[..block.len()].to_vec()
+            (0..block.len())
+                .map(|index| Vec3A::new(means[0][index], means[1][index], means[2][index]))
+                .collect::<Vec<_>>()
         };
         footprints.chunks(64).flat_map(of_block).collect()
     }

@@ -10,6 +10,7 @@ use glam::{DVec3, Vec3};
 use lab::statistics::{median, milliseconds};
 use renderer::{
     cli::picture_args::PictureArgs,
+    memory::EndingAllocator,
     model::{
         material::{Image, Material, Materials, TextureUse, Wrap},
         mesh::Mesh,
@@ -17,6 +18,10 @@ use renderer::{
     },
     render::image,
 };
+
+/// That of all programs.
+#[global_allocator]
+static ALLOCATOR: EndingAllocator = EndingAllocator;
 
 /// The frame, the measurement, and the picture to write.
 #[derive(Parser)]

@@ -79,17 +79,18 @@ impl Positions {
     /// The positions of the kept vertices in this form.
     fn in_form(form: Form, vertices: &[[f32; 3]], kept: &[Vec<u32>]) -> Self {
         let (mut floats, mut bytes) = Default::default();
+        let position = |vertex: u32| vertices[vertex as usize];
         match &form {
-            Form::Floats => floats = in_order(vertices, kept, 1, 1, |vertex, to: &mut [[f32; 3]]| to[0] = *vertex),
+            Form::Floats => floats = in_order(kept, 1, 1, |vertex, to: &mut [[f32; 3]]| to[0] = position(vertex)),
             Form::Packed(scale) => {
-                bytes = in_order(vertices, kept, POINT, LOADED, |vertex, to: &mut [u8]| {
-                    scale.pack(*vertex, to.try_into().expect("the bytes of a point"));
+                bytes = in_order(kept, POINT, LOADED, |vertex, to: &mut [u8]| {
+                    scale.pack(position(vertex), to.try_into().expect("the bytes of a point"));
                 });
             }
             Form::Lattice(lattice) => {
                 let stride = stride(lattice);
-                bytes = in_order(vertices, kept, stride, LOADED, |vertex, to: &mut [u8]| {
-                    let [x, y, z] = lattice.nearest(*vertex).map(u64::from);
+                bytes = in_order(kept, stride, LOADED, |vertex, to: &mut [u8]| {
+                    let [x, y, z] = lattice.nearest(position(vertex)).map(u64::from);
                     let word = x | y << lattice.n_bits() | z << (2 * lattice.n_bits());
                     to.copy_from_slice(&word.to_le_bytes()[..stride]);
                 });
