@@ -11,4 +11,4 @@ pub mod materials;
 mod mip_map;
 #[cfg(test)]
 mod tests;
-pub(crate) mod texel;
+mod texel;

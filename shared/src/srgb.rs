@@ -3,8 +3,8 @@
 //! Samples must not depend on the machine, and `powf` differs between platforms.
 //! So the curve uses + − × ÷ alone: x^2.4 = x²·(x²)^(1/5), with the fifth root by Newton's iteration.
 
-/// Linear light of each encoded value.
-static DECODED: [f32; 256] = {
+/// Linear light, 0 to 1, of each encoded value.
+pub static DECODED: [f32; 256] = {
     let mut decoded = [0.0; 256];
     let mut value = 0;
     while value < 256 {

@@ -24,7 +24,6 @@ use crate::{
     texture::{
         footprint::{Footprints, texture_point},
         materials::{PointMaterial, TracedMaterials},
-        texel::Texel,
     },
 };
 use corners::Corners;
@@ -44,9 +43,9 @@ pub struct TracedMesh {
     corners: Corners,
     /// The number of each triangle in the file.
     file_indices: PackedNumbers,
-    /// One for each vertex; empty in a mesh without colours.
+    /// sRGB and a zero, so that a gather finds it; one for each vertex; empty in a mesh without colours.
     #[serde(skip)]
-    colors: Section<Texel>,
+    colors: Section<[u8; 4]>,
     /// One for each vertex; empty in a mesh without textures.
     #[serde(skip)]
     texture_coordinates: Section<[f32; 2]>,
@@ -78,7 +77,7 @@ impl TracedMesh {
 
     fn vertex_bytes(mesh: &Mesh) -> u64 {
         let bytes_per_vertex = Positions::bytes_per_vertex(mesh.lattice.as_ref())
-            + usize::from(!mesh.colors.is_empty()) * size_of::<Texel>()
+            + usize::from(!mesh.colors.is_empty()) * size_of::<[u8; 4]>()
             + usize::from(!mesh.normals.is_empty()) * size_of::<Normal>()
             + usize::from(!mesh.texture_coordinates.is_empty()) * size_of::<[f32; 2]>();
         bytes_per_vertex as u64 * vertices_in_order(mesh)
@@ -98,10 +97,10 @@ impl TracedMesh {
             positions: Positions::new(&vertices, lattice, &kept_vertices),
             corners,
             file_indices,
-            colors: of_vertices(&colors, &kept_vertices, stored_color).into(),
-            normals: of_vertices(&normals, &kept_vertices, |_, normal| *normal).into(),
+            colors: of_vertices(&colors, &kept_vertices, |&[red, green, blue]| [red, green, blue, 0]).into(),
+            normals: of_vertices(&normals, &kept_vertices, |normal| *normal).into(),
             texture_coordinates: if is_textured {
-                of_vertices(&texture_coordinates, &kept_vertices, |_, coordinates| *coordinates).into()
+                of_vertices(&texture_coordinates, &kept_vertices, |coordinates| *coordinates).into()
             } else {
                 Section::default()
             },
@@ -297,10 +296,17 @@ impl TracedMesh {
         S::gather_bits(&self.normals, vertices).store_bits(to);
     }
 
-    /// Gathers the bits of vertices' colours into as many lanes as a vector has; the mesh must have colours.
+    /// Gathers the linear colours of vertices by channel into as many lanes as a vector has; the mesh must have colours.
     #[inline(always)]
-    pub(crate) fn gather_colors<S: Simd>(&self, vertices: &[u32; 16], to: &mut [u32]) {
-        S::gather_bits(&self.colors, vertices).store_bits(to);
+    pub(crate) fn gather_colors<S: Simd>(&self, vertices: &[u32; 16], to: &mut [[f32; 16]; 3], first: usize) {
+        let (mut colors, mut values) = ([0; 16], [0; 16]);
+        S::gather_bits(&self.colors, vertices).store_bits(&mut colors);
+        for (channel, to) in to.iter_mut().enumerate() {
+            for lane in 0..16 {
+                values[lane] = u32::from(colors[lane].to_ne_bytes()[channel]);
+            }
+            S::gather_bits(&srgb::DECODED, &values).store(&mut to[first..]);
+        }
     }
 
     /// Gathers the texture coordinates of vertices, u and v, into as many lanes as a vector has; the mesh must have textures.
@@ -321,22 +327,12 @@ fn vertices_in_order(mesh: &Mesh) -> u64 {
     mesh.vertices.len() as u64 * 3 / 2
 }
 
-/// Values of the kept vertices, as `stored` gives them by the vertices' numbers as loaded; none where the mesh has none.
-fn of_vertices<T: Sync, U: Pod + Send>(
-    values: &[T],
-    kept: &[Vec<u32>],
-    stored: impl Fn(u32, &T) -> U + Sync,
-) -> Vec<U> {
+/// Values of the kept vertices, as they are stored; none where the mesh has none.
+fn of_vertices<T: Sync, U: Pod + Send>(values: &[T], kept: &[Vec<u32>], stored: impl Fn(&T) -> U + Sync) -> Vec<U> {
     if values.is_empty() {
         return Vec::new();
     }
-    in_order(kept, 1, 0, |vertex, to| to[0] = stored(vertex, &values[vertex as usize]))
-}
-
-/// The colour of a vertex in four bytes, whose light is read with few instructions. Neighbours are rounded up and down in turn, as
-/// those of a texture are.
-fn stored_color(vertex: u32, color: &[u8; 3]) -> Texel {
-    Texel::new(color.map(srgb::decode), [vertex, vertex / 16])
+    in_order(kept, 1, 0, |vertex, to| to[0] = stored(&values[vertex as usize]))
 }
 
 /// The kept vertices' values as `write` gives them by the vertices' numbers as loaded, `stride` items for each, and so many more

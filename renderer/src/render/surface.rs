@@ -8,10 +8,7 @@ use crate::{
     intersect::{ray::Hit, triangle},
     model::normal::Normal,
     simd::{Kernel, Simd},
-    texture::{
-        footprint::{self, FootprintLanes, Footprints, WideRay, WideRays},
-        texel::{Texel, UNITS},
-    },
+    texture::footprint::{self, FootprintLanes, Footprints, WideRay, WideRays},
 };
 
 /// Hits that are done at once.
@@ -94,7 +91,7 @@ fn gather<S: Simd>(mesh: &TracedMesh, rays: impl WideRays, hits: &[Hit], samples
         directions: of_lanes,
         corners: [[[0.0; N]; 3]; 3],
         normals: mesh.has_normals().then_some([[0; N]; 3]),
-        colors: mesh.has_colors().then_some([[0; N]; 3]),
+        colors: mesh.has_colors().then_some([[[0.0; N]; 3]; 3]),
         coordinates: mesh.has_texture_coordinates().then_some([[[0.0; N]; 2]; 3]),
     };
     for first in (0..N).step_by(S::LANES) {
@@ -112,7 +109,7 @@ fn gather<S: Simd>(mesh: &TracedMesh, rays: impl WideRays, hits: &[Hit], samples
                 mesh.gather_normals::<S>(&vertices[corner], &mut normals[corner][first..]);
             }
             if let Some(colors) = &mut lanes.colors {
-                mesh.gather_colors::<S>(&vertices[corner], &mut colors[corner][first..]);
+                mesh.gather_colors::<S>(&vertices[corner], &mut colors[corner], first);
             }
             if let Some(coordinates) = &mut lanes.coordinates {
                 let to = coordinates[corner].each_mut().map(|lanes| &mut lanes[first..]);
@@ -123,13 +120,13 @@ fn gather<S: Simd>(mesh: &TracedMesh, rays: impl WideRays, hits: &[Hit], samples
     lanes
 }
 
-/// Rays, the triangles that they hit, and the normals, colours (both as bits) and texture coordinates of their corners, if the
+/// Rays, the triangles that they hit, and the normals (as bits), linear colours and texture coordinates of their corners, if the
 /// mesh has them.
 struct Lanes {
     directions: Vectors,
     corners: [Vectors; 3],
     normals: Option<[[u32; N]; 3]>,
-    colors: Option<[[u32; N]; 3]>,
+    colors: Option<[Vectors; 3]>,
     coordinates: Option<[footprint::Points; 3]>,
 }
 
@@ -164,13 +161,10 @@ impl Lanes {
         }
         let mut colors = [[0.0; N]; 3];
         if let Some([a, b, c]) = &self.colors {
-            for (channel, colors) in colors.iter_mut().enumerate() {
-                let light = |texel: u32| Texel::of_bits(texel).scaled(channel);
-                for lane in 0..N {
-                    let [a, b, c] = [light(a[lane]), light(b[lane]), light(c[lane])];
-                    let sum = a * weights[0][lane] + b * weights[1][lane] + c * weights[2][lane];
-                    colors[lane] = sum * UNITS[channel];
-                }
+            for lane in 0..N {
+                let weight = get(&weights, lane);
+                let color = get(a, lane) * weight.x + get(b, lane) * weight.y + get(c, lane) * weight.z;
+                set(&mut colors, lane, color);
             }
         }
         (weights, [to_eyes, geometrics, shadings, colors])

@@ -57,7 +57,7 @@ pub(super) struct Squares {
 const REACH: f32 = 1.5;
 
 /// Limit of [`Squares::n`]: longer footprints are blurred across.
-pub(super) const MOST_SQUARES: u32 = 3;
+pub(super) const MOST_SQUARES: u32 = 5;
 
 /// Rays by number, and the change of their directions across the width and the height of what each stands for.
 pub(crate) trait WideRays: Copy {
@@ -311,14 +311,12 @@ mod tests {
         assert_eq!(squares([0.1, 0.0], [0.0, 0.2]), (1, 0.0, 1.0), "magnified");
         assert_eq!(squares([3.0, 0.0], [0.0, 3.0]), (1, 0.0, 3.0), "as wide as high");
         let (n, step, width) = squares([6.0, 6.0], [1.0, -1.0]);
-        assert!(
-            n == 3 && (step * 3.0 - 72.0f32.sqrt()).abs() < 1e-4 && (width * 3.0 * REACH - 72.0f32.sqrt()).abs() < 1e-4
-        );
+        assert!(n == 4 && (step * 4.0 - 72.0f32.sqrt()).abs() < 1e-4 && (width - 2.0f32.sqrt()).abs() < 0.01);
         let (n, _, width) = squares([1000.0, 0.0], [0.0, 1.0]);
-        assert!(n == 3 && (width * 3.0 * REACH - 1000.0).abs() < 0.1, "blurred across");
+        assert!(n == 5 && (width * 5.0 * REACH - 1000.0).abs() < 0.1, "blurred across");
         for odd in [f32::NAN, f32::INFINITY, f32::MAX, 1e-38] {
             let squares = Footprint { centre: Vec2::splat(odd), sides: [Vec2::splat(odd); 2] }.squares(size);
-            assert!((1..=MOST_SQUARES).contains(&squares.n), "{odd}");
+            assert!((1..=5).contains(&squares.n), "{odd}");
         }
     }
 }

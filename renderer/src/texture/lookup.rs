@@ -9,7 +9,7 @@ use crate::{
     simd::{Kernel, Simd},
     texture::{
         footprint::{self, FootprintLanes, Footprints, MOST_SQUARES},
-        level::{Level, blocks_per_row, column_offset, halved, neighbours, round, row_offset},
+        level::{Level, blocks_per_row, column_offset, halved, neighbours, row_offset},
         mip_map::MipMap,
         texel::{Texel, UNITS},
     },
@@ -30,14 +30,12 @@ pub(super) struct Means<'a> {
     pub(super) means: &'a mut [[f32; 64]; 3],
 }
 
-/// The lookups of up to 64 samples: of squares, the first on a level, and the others on the next. A single square may be looked
-/// up on both.
+/// The lookups of up to 64 samples: squares on a level, then the same on the next, if that has a part of the light.
 struct Plans {
     first: [[f32; 64]; 2],
     step: [[f32; 64]; 2],
-    last_square: [u32; 64],
+    n_squares: [u32; 64],
     level: [u32; 64],
-    n_on_level: [u32; 64],
     /// 0 beyond the samples.
     n_lookups: [u32; 64],
     /// The part that a lookup has of the light, on the level and on the next.
@@ -55,8 +53,8 @@ const SAMPLES: [u32; 64 + 16] = {
     samples
 };
 
-/// Most lookups of a sample: a single square may be looked up twice.
-const MOST_LOOKUPS: u32 = if MOST_SQUARES > 2 { MOST_SQUARES } else { 2 };
+/// Most lookups of a sample: all squares on two levels.
+const MOST_LOOKUPS: u32 = 2 * MOST_SQUARES;
 
 impl Kernel for Means<'_> {
     type Output = ();
@@ -85,7 +83,7 @@ impl Kernel for Means<'_> {
 }
 
 impl Means<'_> {
-    /// Covers each footprint by squares, and chooses their levels.
+    /// Covers each footprint by squares, and blends two levels for each.
     #[inline(always)]
     fn plans(&self) -> Plans {
         let Self { map, transform, footprints, .. } = self;
@@ -95,9 +93,8 @@ impl Means<'_> {
         let mut plans = Plans {
             first: [[0.0; 64]; 2],
             step: [[0.0; 64]; 2],
-            last_square: [0; 64],
+            n_squares: [0; 64],
             level: [0; 64],
-            n_on_level: [0; 64],
             n_lookups: [0; 64],
             weights: [[0.0; 64]; 2],
         };
@@ -118,32 +115,20 @@ impl Plans {
         let [first_u, first_v] = self.first.each_mut().map(|lanes| &mut lanes[all.clone()]);
         let [step_u, step_v] = self.step.each_mut().map(|lanes| &mut lanes[all.clone()]);
         let [weights, weights_of_next] = self.weights.each_mut().map(|lanes| &mut lanes[all.clone()]);
-        let (last_square, levels) = (&mut self.last_square[all.clone()], &mut self.level[all.clone()]);
-        let (n_on_level, n_lookups) = (&mut self.n_on_level[all.clone()], &mut self.n_lookups[all]);
+        let (n_squares, levels) = (&mut self.n_squares[all.clone()], &mut self.level[all.clone()]);
+        let n_lookups = &mut self.n_lookups[all];
         for lane in 0..footprint::N {
             let squares = footprints.get(lane).transformed(transform).squares(size);
             (first_u[lane], first_v[lane]) = (squares.first.x, squares.first.y);
             (step_u[lane], step_v[lane]) = (squares.step.x, squares.step.y);
-            let (level, fraction) = level_of(squares.width);
-            let (level, fraction) = if level < last { (level, fraction) } else { (last, 0.0) };
-
-            // Of several squares, some are on either level. A single one blends both in the middle quarter between them:
-            // elsewhere it needs one lookup.
-            let part = 4.0 * fraction - 1.5;
-            let part = if part > 0.0 { part } else { 0.0 };
-            let part = if part < 1.0 { part } else { 1.0 };
-            let is_single = squares.n == 1;
-            let of_several = round(squares.n as i32 as f32 * part).1 as u32;
-            let n_on_next = if is_single { u32::from(part == 1.0) } else { of_several };
-            // Where all are on the next level, it takes the place of this one.
-            let is_next = n_on_next == squares.n;
-            let (part, n_on_next) = if is_next { (0.0, 0) } else { (part, n_on_next) };
-            levels[lane] = level + u32::from(is_next);
-            last_square[lane] = squares.n - 1;
-            n_on_level[lane] = squares.n - n_on_next;
-            n_lookups[lane] = squares.n + (u32::from(is_single) & u32::from(part > 0.0));
-            weights[lane] = if is_single { 1.0 - part } else { squares.part };
-            weights_of_next[lane] = if is_single { part } else { squares.part };
+            let (level, part_of_next) = level_of(squares.width);
+            let (level, part_of_next) = if level < last { (level, part_of_next) } else { (last, 0.0) };
+            // A width just below the next level's needs that level alone.
+            let (level, part_of_next) = if part_of_next < 1.0 { (level, part_of_next) } else { (level + 1, 0.0) };
+            (levels[lane], n_squares[lane]) = (level, squares.n);
+            n_lookups[lane] = if part_of_next > 0.0 { 2 * squares.n } else { squares.n };
+            weights[lane] = squares.part * (1.0 - part_of_next);
+            weights_of_next[lane] = squares.part * part_of_next;
         }
     }
 
@@ -172,12 +157,12 @@ impl Plans {
 
     #[inline(always)]
     fn sort(&mut self, order: &[u32]) {
-        let Self { first, step, last_square, level, n_on_level, n_lookups, weights } = self;
+        let Self { first, step, n_squares, level, n_lookups, weights } = self;
         for numbers in [first, step, weights] {
             sort(&mut numbers[0], order);
             sort(&mut numbers[1], order);
         }
-        for numbers in [last_square, level, n_on_level, n_lookups] {
+        for numbers in [n_squares, level, n_lookups] {
             sort(numbers, order);
         }
     }
@@ -189,8 +174,7 @@ impl Plans {
         let mut plans = PlanLanes {
             first: [lanes(&self.first[0], first), lanes(&self.first[1], first)],
             step: [lanes(&self.step[0], first), lanes(&self.step[1], first)],
-            last_square: lanes(&self.last_square, first),
-            n_on_level: lanes(&self.n_on_level, first),
+            n_squares: lanes(&self.n_squares, first),
             n_lookups: lanes(&self.n_lookups, first),
             weights: [lanes(&self.weights[0], first), lanes(&self.weights[1], first)],
             sizes: [[[0; N]; 2]; 2],
@@ -234,8 +218,7 @@ fn lanes<T: Copy>(numbers: &[T; 64], first: usize) -> [T; N] {
 struct PlanLanes {
     first: [[f32; N]; 2],
     step: [[f32; N]; 2],
-    last_square: [u32; N],
-    n_on_level: [u32; N],
+    n_squares: [u32; N],
     n_lookups: [u32; N],
     weights: [[f32; N]; 2],
     /// Columns and rows of texels.
@@ -289,8 +272,8 @@ impl Points {
         let (mut widths, mut heights, mut firsts) = ([1; N], [1; N], [0; N]);
         for n in 0..N {
             // The first lookup is on the level.
-            let is_next = !IS_FIRST && number >= plans.n_on_level[n];
-            let square = number.min(plans.last_square[n]) as i32 as f32;
+            let is_next = !IS_FIRST && number >= plans.n_squares[n];
+            let square = (if is_next { number - plans.n_squares[n] } else { number }) as i32 as f32;
             u[n] = plans.first[0][n] + if IS_FIRST { 0.0 } else { plans.step[0][n] * square };
             v[n] = plans.first[1][n] + if IS_FIRST { 0.0 } else { plans.step[1][n] * square };
             let weight = select(is_next, plans.weights[0][n].to_bits(), plans.weights[1][n].to_bits());
@@ -374,14 +357,16 @@ fn neighbours_in_rows(
     }
 }
 
-/// The level whose texels are the next smaller than `width`, in texels of the image, and the fraction of the way to the next.
+/// The level whose texels are the next smaller than `width`, in texels of the image, and the part of the next level.
 ///
-/// A number's exponent and mantissa are its logarithm, linear between powers of two. Nothing branches, so that a loop becomes
-/// vector instructions.
+/// A number's exponent and mantissa are its logarithm, linear between powers of two. The part changes in the middle
+/// quarter alone: other widths need one lookup. Nothing branches, so that a loop becomes vector instructions.
 #[inline(always)]
 fn level_of(width: f32) -> (u32, f32) {
     const MANTISSA: u32 = 0x007f_ffff;
     // Not less than a texel; NaN is one.
     let bits = (if width > 1.0 { width } else { 1.0 }).to_bits();
-    ((bits >> 23) - 127, f32::from_bits(bits & MANTISSA | 1.0f32.to_bits()) - 1.0)
+    let part = 4.0 * (f32::from_bits(bits & MANTISSA | 1.0f32.to_bits()) - 1.0) - 1.5;
+    let part = if part > 0.0 { part } else { 0.0 };
+    ((bits >> 23) - 127, if part < 1.0 { part } else { 1.0 })
 }

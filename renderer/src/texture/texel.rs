@@ -6,10 +6,10 @@ use bytemuck::{Pod, Zeroable};
 /// the same after it was stored here. Its bytes take the place of an image's, which are not aligned.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 #[repr(transparent)]
-pub(crate) struct Texel([u8; 4]);
+pub(super) struct Texel([u8; 4]);
 
 /// The units of [`Texel::scaled`].
-pub(crate) const UNITS: [f32; 3] = {
+pub(super) const UNITS: [f32; 3] = {
     const STEP: f32 = 1.0 / (1023.0 * 1023.0);
     const SHIFT: f32 = 1.0 / (1024.0 * 1024.0);
     [STEP, STEP * SHIFT, STEP * SHIFT * SHIFT]
@@ -18,7 +18,7 @@ pub(crate) const UNITS: [f32; 3] = {
 impl Texel {
     /// One of the two texels next to numbers from 0 to 1, chosen by the texel's column and row, so that the mean over any even
     /// surface has no error: to the nearest texel, a whole surface would be too light or too dark by up to a hundredth.
-    pub(crate) fn new(numbers: [f32; 3], at: [u32; 2]) -> Self {
+    pub(super) fn new(numbers: [f32; 3], at: [u32; 2]) -> Self {
         let threshold = threshold(at);
         let [x, y, z] = numbers.map(|number| {
             let below = (number.sqrt() * 1023.0) as u32;
@@ -30,13 +30,13 @@ impl Texel {
 
     /// The texel of these bits, as [`Simd::gather_bits`](crate::simd::Simd::gather_bits) finds them.
     #[inline(always)]
-    pub(crate) fn of_bits(bits: u32) -> Self {
+    pub(super) fn of_bits(bits: u32) -> Self {
         Self(bits.to_ne_bytes())
     }
 
     /// One of the numbers, of channel 0, 1 or 2, in units of [`UNITS`]: its bits are squared where they lie.
     #[inline(always)]
-    pub(crate) fn scaled(self, channel: usize) -> f32 {
+    pub(super) fn scaled(self, channel: usize) -> f32 {
         let root = (u32::from_le_bytes(self.0) & 0x3ff << (10 * channel)) as i32 as f32;
         root * root
     }
