@@ -1,7 +1,5 @@
 //! Many lookups in a texture at once: loops over arrays, which the compiler turns into vector instructions.
 
-use std::array::from_fn;
-
 use glam::Vec2;
 
 use crate::{
@@ -15,9 +13,11 @@ use crate::{
     },
 };
 
-/// Samples whose lookups are done at once: two vectors of the widest kind, so that one is computed while the other waits for
-/// memory.
-const N: usize = 32;
+/// Samples whose lookups are done at once.
+const N: usize = 16;
+
+/// [`N`] samples each.
+const N_CHUNKS: usize = 64 / N;
 
 /// Computes the means of a texture over footprints of samples.
 pub(super) struct Means<'a> {
@@ -40,6 +40,10 @@ struct Plans {
     n_lookups: [u32; 64],
     /// The part that a lookup has of the light, on the level and on the next.
     weights: [[f32; 64]; 2],
+    /// Columns and rows of the level and of the next.
+    sizes: [[[u32; 64]; 2]; 2],
+    /// Indices of the first texels of the level and of the next.
+    firsts: [[u32; 64]; 2],
 }
 
 /// The numbers of samples, in their order, with room for a vector after the last.
@@ -52,6 +56,9 @@ const SAMPLES: [u32; 64 + 16] = {
     }
     samples
 };
+
+/// Sorting takes about as long as so many steps.
+const STEPS_OF_SORTING: u32 = 3;
 
 /// Most lookups of a sample: all squares on two levels.
 const MOST_LOOKUPS: u32 = 2 * MOST_SQUARES;
@@ -67,16 +74,15 @@ impl Kernel for Means<'_> {
         if let Some(order) = &order {
             plans.sort(&order[..n]);
         }
-        for first in (0..n).step_by(N) {
-            let lights = plans.lanes(first, &self.map.levels).lights::<S>(self.map, self.wrap);
-            for (means, lights) in self.means.iter_mut().zip(&lights) {
-                let Some(order) = &order else {
-                    means[first..first + N].copy_from_slice(lights);
-                    continue;
-                };
-                for (&sample, &light) in order[first..n].iter().zip(lights) {
-                    means[sample as usize % 64] = light;
-                }
+        plans.find_levels(&self.map.levels);
+        let lights = plans.lights::<S>(self.map, self.wrap);
+        for (means, lights) in self.means.iter_mut().zip(&lights) {
+            let Some(order) = &order else {
+                *means = *lights;
+                continue;
+            };
+            for (&sample, &light) in order[..n].iter().zip(lights) {
+                means[sample as usize % 64] = light;
             }
         }
     }
@@ -97,6 +103,8 @@ impl Means<'_> {
             level: [0; 64],
             n_lookups: [0; 64],
             weights: [[0.0; 64]; 2],
+            sizes: [[[1; 64]; 2]; 2],
+            firsts: [[0; 64]; 2],
         };
         let chunks = footprints.lanes.iter().take(footprints.n.div_ceil(footprint::N));
         for (chunk, footprints) in chunks.enumerate() {
@@ -145,19 +153,25 @@ impl Plans {
         order
     }
 
-    /// Whether sorted samples would need fewer steps, in each of which [`N`] do a lookup: those that need as many lookups as both
-    /// halves do would fill one half. Where a surface is flat, all samples of a tile need about as many.
+    /// Whether sorted samples would need fewer steps, in each of which [`N`] do a lookup. Where a surface is flat, all samples of
+    /// a tile need about as many.
     #[inline(always)]
     fn would_save_steps(&self) -> bool {
-        let (first, second) = self.n_lookups.split_at(N);
-        let most = |half: &[u32]| half.iter().copied().max().unwrap_or(0);
-        let of_both = most(first).min(most(second));
-        self.n_lookups.iter().map(|&n_lookups| u32::from(n_lookups >= of_both)).sum::<u32>() <= N as u32
+        let (chunks, _) = self.n_lookups.as_chunks::<N>();
+        let n_steps: u32 = chunks.iter().map(|chunk| chunk.iter().copied().max().unwrap_or(0)).sum();
+        // Full steps are the fewest, and mostly show that sorting is not worth it.
+        let n_full_steps = self.n_lookups.iter().sum::<u32>().div_ceil(N as u32);
+        if n_steps < n_full_steps + STEPS_OF_SORTING {
+            return false;
+        }
+        let n_with = |least: u32| self.n_lookups.iter().map(|&n_lookups| u32::from(n_lookups >= least)).sum::<u32>();
+        let n_sorted_steps: u32 = (1..=MOST_LOOKUPS).map(|least| n_with(least).div_ceil(N as u32)).sum();
+        n_steps >= n_sorted_steps + STEPS_OF_SORTING
     }
 
     #[inline(always)]
     fn sort(&mut self, order: &[u32]) {
-        let Self { first, step, n_squares, level, n_lookups, weights } = self;
+        let Self { first, step, n_squares, level, n_lookups, weights, .. } = self;
         for numbers in [first, step, weights] {
             sort(&mut numbers[0], order);
             sort(&mut numbers[1], order);
@@ -167,37 +181,70 @@ impl Plans {
         }
     }
 
-    /// The plans of [`N`] samples.
+    /// Finds the sizes of levels, and where their texels begin.
     #[inline(always)]
-    fn lanes(&self, first: usize, of_map: &[Level]) -> PlanLanes {
-        let levels: [u32; N] = lanes(&self.level, first);
-        let mut plans = PlanLanes {
-            first: [lanes(&self.first[0], first), lanes(&self.first[1], first)],
-            step: [lanes(&self.step[0], first), lanes(&self.step[1], first)],
-            n_squares: lanes(&self.n_squares, first),
-            n_lookups: lanes(&self.n_lookups, first),
-            weights: [lanes(&self.weights[0], first), lanes(&self.weights[1], first)],
-            sizes: [[[0; N]; 2]; 2],
-            firsts: [[0; N]; 2],
-        };
+    fn find_levels(&mut self, of_map: &[Level]) {
+        let Self { level: levels, sizes, firsts, .. } = self;
         // Most samples of a tile show one or two levels, and a comparison for each of these is faster than a search by sample.
-        let [finest, coarsest] = [levels.into_iter().min(), levels.into_iter().max()].map(|level| level.unwrap_or(0));
+        let [finest, coarsest] = [levels.iter().min(), levels.iter().max()].map(|level| level.copied().unwrap_or(0));
         for level in finest..=coarsest {
             let pair = [level, level + 1].map(|level| of_map.get(level as usize).map_or(0, |level| level.first));
-            for (firsts, of_level) in plans.firsts.iter_mut().zip(pair) {
-                for lane in 0..N {
-                    firsts[lane] = select(levels[lane] == level, firsts[lane], of_level);
+            for (firsts, of_level) in firsts.iter_mut().zip(pair) {
+                for sample in 0..64 {
+                    firsts[sample] = select(levels[sample] == level, firsts[sample], of_level);
                 }
             }
         }
         let size = of_map[0].size;
-        for (next, sizes) in plans.sizes.iter_mut().enumerate() {
-            for lane in 0..N {
-                let level = levels[lane] + next as u32;
-                (sizes[0][lane], sizes[1][lane]) = (halved(size[0], level), halved(size[1], level));
+        for (next, sizes) in sizes.iter_mut().enumerate() {
+            for sample in 0..64 {
+                let level = levels[sample] + next as u32;
+                (sizes[0][sample], sizes[1][sample]) = (halved(size[0], level), halved(size[1], level));
             }
         }
-        plans
+    }
+
+    /// The mean light of each sample.
+    #[inline(always)]
+    fn lights<S: Simd>(&self, map: &MipMap, wrap: [Wrap; 2]) -> [[f32; 64]; 3] {
+        let mut lights = [[0.0; 64]; 3];
+        let mut points = [Points::NONE; N_CHUNKS];
+        let n_lookups = self.n_lookups.iter().copied().max().unwrap_or(0);
+        if n_lookups > 0 {
+            self.look_up::<S, true>(0, map, wrap, &mut points, &mut lights);
+        }
+        for number in 1..n_lookups {
+            self.look_up::<S, false>(number, map, wrap, &mut points, &mut lights);
+        }
+        for (lights, unit) in lights.iter_mut().zip(UNITS) {
+            lights.iter_mut().for_each(|light| *light *= unit);
+        }
+        lights
+    }
+
+    /// Adds the light of the lookups of a number.
+    #[inline(always)]
+    fn look_up<S: Simd, const IS_FIRST: bool>(
+        &self,
+        number: u32,
+        map: &MipMap,
+        wrap: [Wrap; 2],
+        points: &mut [Points; N_CHUNKS],
+        lights: &mut [[f32; 64]; 3],
+    ) {
+        let mut chunks = [0; N_CHUNKS];
+        let mut n_chunks = 0;
+        for chunk in 0..N_CHUNKS {
+            chunks[n_chunks] = chunk;
+            n_chunks += usize::from(lanes(&self.n_lookups, chunk).iter().any(|&n_lookups| number < n_lookups));
+        }
+        // Find the texels of all samples before the first are read: memory delivers them meanwhile.
+        for &chunk in &chunks[..n_chunks] {
+            points[chunk].find::<S, IS_FIRST>(self, chunk, number, map, wrap);
+        }
+        for &chunk in &chunks[..n_chunks] {
+            points[chunk].blend::<S>(map, chunk, lights);
+        }
     }
 }
 
@@ -206,49 +253,6 @@ impl Plans {
 fn sort<T: Copy>(numbers: &mut [T; 64], order: &[u32]) {
     let unsorted = *numbers;
     numbers.iter_mut().zip(order).for_each(|(number, &sample)| *number = unsorted[sample as usize % 64]);
-}
-
-/// Some of the numbers of samples.
-#[inline(always)]
-fn lanes<T: Copy>(numbers: &[T; 64], first: usize) -> [T; N] {
-    from_fn(|lane| numbers[(first + lane) % 64])
-}
-
-/// Some of [`Plans`], in lanes. Pairs are those of a level and of the next.
-struct PlanLanes {
-    first: [[f32; N]; 2],
-    step: [[f32; N]; 2],
-    n_squares: [u32; N],
-    n_lookups: [u32; N],
-    weights: [[f32; N]; 2],
-    /// Columns and rows of texels.
-    sizes: [[[u32; N]; 2]; 2],
-    /// Indices of first texels.
-    firsts: [[u32; N]; 2],
-}
-
-impl PlanLanes {
-    /// The mean light of each lane.
-    #[inline(always)]
-    fn lights<S: Simd>(&self, map: &MipMap, wrap: [Wrap; 2]) -> [[f32; N]; 3] {
-        let mut lights = [[0.0; N]; 3];
-        let n_lookups = self.n_lookups.into_iter().max().unwrap_or(0);
-        // Find the next texels before the last are read: memory delivers them meanwhile.
-        let mut points = [Points::NONE; 2];
-        points[0].find::<S, true>(self, 0, map, wrap);
-        for number in 0..n_lookups {
-            let [even, odd] = &mut points;
-            let (points, next) = if number % 2 == 0 { (even, odd) } else { (odd, even) };
-            if number + 1 < n_lookups {
-                next.find::<S, false>(self, number + 1, map, wrap);
-            }
-            points.blend::<S>(map, &mut lights);
-        }
-        for (lights, unit) in lights.iter_mut().zip(UNITS) {
-            lights.iter_mut().for_each(|light| *light *= unit);
-        }
-        lights
-    }
 }
 
 /// The texels around a point in each lane.
@@ -265,22 +269,37 @@ struct Points {
 impl Points {
     const NONE: Self = Self { indices: [[0; N]; 4], x: [0.0; N], y: [0.0; N], weights: [0.0; N] };
 
-    /// Finds the texels of the lookup of a number; lanes without one have the weight 0.
+    /// Finds the texels of the lookup of a number for the samples of a chunk; those without one have the weight 0.
     #[inline(always)]
-    fn find<S: Simd, const IS_FIRST: bool>(&mut self, plans: &PlanLanes, number: u32, map: &MipMap, wrap: [Wrap; 2]) {
+    fn find<S: Simd, const IS_FIRST: bool>(
+        &mut self,
+        plans: &Plans,
+        chunk: usize,
+        number: u32,
+        map: &MipMap,
+        wrap: [Wrap; 2],
+    ) {
+        let (n_squares, n_lookups) = (lanes(&plans.n_squares, chunk), lanes(&plans.n_lookups, chunk));
+        let [first_u, first_v] = plans.first.each_ref().map(|numbers| lanes(numbers, chunk));
+        let [step_u, step_v] = plans.step.each_ref().map(|numbers| lanes(numbers, chunk));
+        let [of_level, of_next] = plans.weights.each_ref().map(|numbers| lanes(numbers, chunk));
+        let [size, next_size] =
+            plans.sizes.each_ref().map(|sizes| sizes.each_ref().map(|numbers| lanes(numbers, chunk)));
+        let [first, next_first] = plans.firsts.each_ref().map(|numbers| lanes(numbers, chunk));
         let (mut u, mut v) = ([0.0; N], [0.0; N]);
         let (mut widths, mut heights, mut firsts) = ([1; N], [1; N], [0; N]);
         for n in 0..N {
-            // The first lookup is on the level.
-            let is_next = !IS_FIRST && number >= plans.n_squares[n];
-            let square = (if is_next { number - plans.n_squares[n] } else { number }) as i32 as f32;
-            u[n] = plans.first[0][n] + if IS_FIRST { 0.0 } else { plans.step[0][n] * square };
-            v[n] = plans.first[1][n] + if IS_FIRST { 0.0 } else { plans.step[1][n] * square };
-            let weight = select(is_next, plans.weights[0][n].to_bits(), plans.weights[1][n].to_bits());
-            self.weights[n] = if number < plans.n_lookups[n] { f32::from_bits(weight) } else { 0.0 };
-            widths[n] = select(is_next, plans.sizes[0][0][n], plans.sizes[1][0][n]);
-            heights[n] = select(is_next, plans.sizes[0][1][n], plans.sizes[1][1][n]);
-            firsts[n] = select(is_next, plans.firsts[0][n], plans.firsts[1][n]);
+            // The first lookup is on the level. A lane without one repeats its last: other texels would be fetched for nothing.
+            let own = if IS_FIRST { number } else { number.min(n_lookups[n].wrapping_sub(1)) };
+            let is_next = !IS_FIRST && own >= n_squares[n];
+            let square = (if is_next { own - n_squares[n] } else { own }) as i32 as f32;
+            u[n] = first_u[n] + if IS_FIRST { 0.0 } else { step_u[n] * square };
+            v[n] = first_v[n] + if IS_FIRST { 0.0 } else { step_v[n] * square };
+            let weight = select(is_next, of_level[n].to_bits(), of_next[n].to_bits());
+            self.weights[n] = if number < n_lookups[n] { f32::from_bits(weight) } else { 0.0 };
+            widths[n] = select(is_next, size[0][n], next_size[0][n]);
+            heights[n] = select(is_next, size[1][n], next_size[1][n]);
+            firsts[n] = select(is_next, first[n], next_first[n]);
         }
         let (lefts, rights, x) = neighbours_of_all(&u, &widths, wrap[0]);
         let (uppers, lowers, y) = neighbours_of_all(&v, &heights, wrap[1]);
@@ -298,10 +317,10 @@ impl Points {
         }
     }
 
-    /// Adds the light of the points, in units of [`UNITS`].
+    /// Adds the light of the points to that of a chunk, in units of [`UNITS`].
     #[inline(always)]
     #[expect(clippy::needless_range_loop, reason = "`map` and `zip` of these arrays made a textured frame 4 % slower")]
-    fn blend<S: Simd>(&self, map: &MipMap, lights: &mut [[f32; N]; 3]) {
+    fn blend<S: Simd>(&self, map: &MipMap, chunk: usize, lights: &mut [[f32; 64]; 3]) {
         let mut texels = [[0; N]; 4];
         for (texels, indices) in texels.iter_mut().zip(&self.indices) {
             for first in (0..N).step_by(S::LANES) {
@@ -316,6 +335,7 @@ impl Points {
             (parts[2][n], parts[3][n]) = (below * (1.0 - x), below * x);
         }
         for (channel, lights) in lights.iter_mut().enumerate() {
+            let lights = &mut lights.as_chunks_mut::<N>().0[chunk];
             let light = |texel: u32| Texel::of_bits(texel).scaled(channel);
             for n in 0..N {
                 let above = light(texels[0][n]) * parts[0][n] + light(texels[1][n]) * parts[1][n];
@@ -330,6 +350,12 @@ impl Points {
 #[inline(always)]
 fn select(is_next: bool, of_level: u32, of_next: u32) -> u32 {
     of_level ^ (of_level ^ of_next) & u32::from(is_next).wrapping_neg()
+}
+
+/// The numbers of the samples of a chunk.
+#[inline(always)]
+fn lanes<T>(numbers: &[T; 64], chunk: usize) -> &[T; N] {
+    &numbers.as_chunks().0[chunk]
 }
 
 /// [`neighbours`] in as many rows.
