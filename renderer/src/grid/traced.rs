@@ -186,16 +186,16 @@ impl TracedMesh {
         self.materials.has_materials()
     }
 
-    /// Finds the materials where up to 64 rays hit triangles; `None` for misses, caps, and in meshes without
-    /// materials.
+    /// Finds the materials where up to 64 rays hit triangles: see [`TracedMaterials::find`].
     pub(crate) fn find_materials(
         &self,
         instructions: InstructionSet,
         hits: &[Hit],
         footprints: &Footprints,
         materials: &mut [Option<PointMaterial>; 64],
+        tint: impl FnMut(usize, Vec3),
     ) {
-        self.materials.find(instructions, hits, footprints, materials);
+        self.materials.find(instructions, hits, footprints, materials, tint);
     }
 
     /// Whether a ray passes a triangle that it hits, where the triangle's material has a gap.

@@ -19,8 +19,9 @@ use crate::{
         scene::Scene,
         secondary::SecondaryRays,
         shade::{self, Shader},
+        surface::SurfaceBatch,
     },
-    texture::footprint::{Footprints, SampleRays},
+    texture::footprint::SampleRays,
 };
 
 /// A value for each sample of neighbouring blocks.
@@ -117,26 +118,21 @@ impl<'a> Lighting<'a> {
             return;
         }
         let visibility = self.secondary.visibility(blocks, sample, directions, hits, scratch);
-        // Written again for each block: copies of either took up to 5 % of a frame's time.
-        let (mut surfaces, mut footprints, mut materials) = ([None; 64], Footprints::NONE, [None; 64]);
-        let (grid, is_shaded) = (self.secondary.grid, self.shading == ShadingMode::Shaded);
+        let mut batch = SurfaceBatch::NONE;
         for (index, block) in blocks.iter().enumerate() {
             let n_samples = block.n_samples();
             let (directions, hits) = (&directions[index][..n_samples], &hits[index][..n_samples]);
             if !hits.iter().all(|hit| hit.is_miss()) {
                 let rays = SampleRays { eye: self.eye, directions, sides: self.sample_sides };
-                self.shader.find_surfaces(grid.instructions, rays, hits, &mut surfaces, &mut footprints);
-                if is_shaded && grid.mesh().has_materials() {
-                    grid.mesh().find_materials(grid.instructions, hits, &footprints, &mut materials);
-                }
+                self.shader.find_surfaces(self.secondary.grid.instructions, rays, hits, &mut batch);
             }
             for (sample_idx, (i, j)) in block.samples().enumerate() {
                 let (_, y) = sample_point(i, j, sample);
                 lights[index][sample_idx] = self.shader.light(
                     directions[sample_idx],
                     hits[sample_idx],
-                    surfaces[sample_idx].as_ref(),
-                    materials[sample_idx].as_ref(),
+                    batch.surfaces[sample_idx].as_ref(),
+                    batch.materials[sample_idx].as_ref(),
                     y,
                     &visibility[index][sample_idx],
                 );

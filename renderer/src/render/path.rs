@@ -45,10 +45,10 @@ use crate::{
         secondary::{back_and_light, tangent_basis},
         shade::Shader,
         sky::PlacedSky,
-        surface::{Surface, normalize_or_zero},
+        surface::{Surface, SurfaceBatch, normalize_or_zero},
     },
     texture::{
-        footprint::{Footprints, WideRays},
+        footprint::WideRays,
         materials::{Finish, PointMaterial},
     },
 };
@@ -251,30 +251,24 @@ impl<'a> PathTracer<'a> {
     /// Lights the surfaces that paths have hit, and follows the paths to their next surfaces; the last bounce only to the sky.
     fn bounce(&self, shader: &Shader<'_>, bounce: u8, paths: &[Path], lights: &mut [Vec3]) -> Vec<Path> {
         let mut next = NextRays { pending: Vec::with_capacity(paths.len()), ..NextRays::default() };
-        let (mut surfaces, mut footprints, mut materials) = ([None; 64], Footprints::NONE, [None; 64]);
-        let mut hits = [Hit::MISS; 64];
+        let (mut batch, mut hits) = (SurfaceBatch::NONE, [Hit::MISS; 64]);
         for paths in paths.chunks(64) {
-            // Interpolate the surfaces, and look up their materials.
             let rays = PathRays(paths);
             hits.iter_mut().zip(paths).for_each(|(hit, path)| *hit = path.hit);
             let hits = &hits[..paths.len()];
-            shader.find_surfaces(self.grid.instructions, rays, hits, &mut surfaces, &mut footprints);
-            if self.grid.mesh().has_materials() {
-                self.grid.mesh().find_materials(self.grid.instructions, hits, &footprints, &mut materials);
-            }
+            shader.find_surfaces(self.grid.instructions, rays, hits, &mut batch);
             for (index, path) in paths.iter().enumerate() {
                 if path.hit.is_miss() {
                     let Some(ground) = &self.ground else { continue };
                     let Some(lifted) = ground.point(path.origin, path.direction) else { continue };
-                    let scattering = Scattering::matte(&ground.surface(path.direction), Vec3::ONE);
+                    let scattering = Scattering::matte(&ground.surface(path.direction));
                     self.scatter(path, &lifted, &scattering, bounce, &mut next);
                     continue;
                 }
-                let surface = surfaces[index].unwrap_or_else(|| shader.cap(path.direction));
+                let surface = batch.surfaces[index].unwrap_or_else(|| shader.cap(path.direction));
                 let Some(lifted) = self.lift.point(path.origin, path.direction, path.hit) else { continue };
-                let light = &mut lights[path.pixel];
-                let material = materials[index].as_ref();
-                let Some(scattering) = self.scattering(shader, path, &surface, material, light) else { continue };
+                let (material, light) = (batch.materials[index].as_ref(), &mut lights[path.pixel]);
+                let Some(scattering) = Self::scattering(path, &surface, material, light) else { continue };
                 self.scatter(path, &lifted, &scattering, bounce, &mut next);
             }
         }
@@ -337,27 +331,21 @@ impl<'a> PathTracer<'a> {
     /// The scattering of the surface that a path has hit; adds the light that the surface gives off. `None` if it only gives
     /// off light.
     fn scattering(
-        &self,
-        shader: &Shader<'_>,
         path: &Path,
         surface: &Surface,
         material: Option<&PointMaterial>,
         light: &mut Vec3,
     ) -> Option<Scattering> {
-        let Some(material) = material.filter(|_| !path.hit.is_cap()) else {
-            return Some(Scattering::matte(surface, shader.albedo(path.hit, surface.color)));
-        };
-        let of_mesh = if self.grid.mesh().has_colors() { surface.color } else { Vec3::ONE };
-        let color = of_mesh * material.base_color;
-        *light += path.weight * material.emissive;
-        match material.finish {
+        let Some(&PointMaterial { finish, emissive }) = material else { return Some(Scattering::matte(surface)) };
+        *light += path.weight * emissive;
+        match finish {
             Finish::Unlit => {
-                *light += path.weight * color;
+                *light += path.weight * surface.color;
                 None
             }
-            Finish::Matte => Some(Scattering::matte(surface, color)),
+            Finish::Matte => Some(Scattering::matte(surface)),
             Finish::Glossy { roughness, metallic } => {
-                Some(Scattering::glossy(surface, color, roughness, metallic, least_roughness(path.density)))
+                Some(Scattering::glossy(surface, roughness, metallic, least_roughness(path.density)))
             }
         }
     }

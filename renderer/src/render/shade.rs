@@ -15,10 +15,10 @@ use crate::{
     render::{
         gloss::GlossySurface,
         secondary::LightVisibility,
-        surface::{Surface, Surfaces, normalize_or_zero},
+        surface::{Surface, SurfaceBatch, Surfaces, normalize_or_zero},
     },
     texture::{
-        footprint::{Footprints, WideRays},
+        footprint::WideRays,
         materials::{Finish, PointMaterial},
     },
 };
@@ -89,16 +89,14 @@ impl<'a> Shader<'a> {
                 let key = normal.dot(visibility.key_direction).max(0.0) * key_visibility;
                 let sky = 0.5 + 0.5 * normal.dot(self.up);
                 let ambient = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
-                let scattered = KEY_LIGHT * key + ambient * visibility.ambient_visibility;
-                let Some(material) = material else { return self.albedo(hit, color) * scattered };
-                let color = if self.mesh.has_colors() { color } else { Vec3::ONE } * material.base_color;
-                let emissive = material.emissive;
-                match material.finish {
+                let light = KEY_LIGHT * key + ambient * visibility.ambient_visibility;
+                let Some(&PointMaterial { finish, emissive }) = material else { return color * light };
+                match finish {
                     Finish::Unlit => color,
-                    Finish::Matte => color * scattered + emissive,
+                    Finish::Matte => color * light + emissive,
                     Finish::Glossy { roughness, metallic } => {
                         let surface = GlossySurface { color, roughness, metallic, normal, to_eye };
-                        color * (1.0 - metallic) * scattered
+                        color * (1.0 - metallic) * light
                             + self.reflected(&surface, key_visibility, visibility)
                             + emissive
                     }
@@ -124,18 +122,25 @@ impl<'a> Shader<'a> {
             + ambient * visibility.ambient_visibility
     }
 
-    /// Finds the interpolated surface of a mesh at up to 64 hits, and the footprints on its textures; `None` for misses and
-    /// caps.
+    /// Finds the surfaces of a mesh at up to 64 hits.
     pub(super) fn find_surfaces(
         &self,
         instructions: InstructionSet,
         rays: impl WideRays,
         hits: &[Hit],
-        surfaces: &mut [Option<Surface>; 64],
-        footprints: &mut Footprints,
+        SurfaceBatch { surfaces, materials, footprints }: &mut SurfaceBatch,
     ) {
+        let mesh = self.mesh;
+        let plain_color = if mesh.has_materials() { Vec3::ONE } else { CLAY };
         // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-        unsafe { instructions.call(Surfaces { mesh: self.mesh, rays, hits, surfaces, footprints }) }
+        unsafe { instructions.call(Surfaces { mesh, rays, hits, plain_color, surfaces, footprints }) }
+        if mesh.has_materials() && self.shading == ShadingMode::Shaded {
+            mesh.find_materials(instructions, hits, footprints, materials, |sample, base_color| {
+                if let Some(surface) = &mut surfaces[sample] {
+                    surface.color *= base_color;
+                }
+            });
+        }
     }
 
     /// The surface of a cap, on the side of the eye.
@@ -143,19 +148,7 @@ impl<'a> Shader<'a> {
     pub(super) fn cap(&self, direction: Vec3) -> Surface {
         let to_eye = -normalize_or_zero(direction.as_dvec3());
         let normal = if self.cap_normal.dot(to_eye) < 0.0 { -self.cap_normal } else { self.cap_normal };
-        Surface { to_eye, geometric: normal, shading: normal, color: Vec3::ZERO }
-    }
-
-    /// The albedo of a surface without a material; `color` is that of its mesh.
-    #[inline]
-    pub(super) fn albedo(&self, hit: Hit, color: Vec3) -> Vec3 {
-        if hit.is_cap() {
-            CAP
-        } else if self.mesh.has_colors() {
-            color
-        } else {
-            CLAY
-        }
+        Surface { to_eye, geometric: normal, shading: normal, color: CAP }
     }
 }
 
@@ -249,11 +242,10 @@ mod tests {
         directions: &[Vec3],
         hits: &[Hit],
     ) -> [Option<Surface>; 64] {
-        let mut surfaces = [None; 64];
+        let mut batch = SurfaceBatch::NONE;
         let rays = SampleRays { eye: EYE, directions, sides: [Vec3::ZERO; 2] };
-        let mut footprints = Footprints::NONE;
-        shader.find_surfaces(instructions, rays, hits, &mut surfaces, &mut footprints);
-        surfaces
+        shader.find_surfaces(instructions, rays, hits, &mut batch);
+        batch.surfaces
     }
 
     /// The light at a hit, with all instructions.
@@ -438,7 +430,7 @@ mod tests {
         let albedo = |triangle, target: Vec3| {
             let (direction, hit) = (target - EYE, Hit { triangle, t: 1.0 });
             let surface = surfaces(&shader, InstructionSet::best(), &[direction], &[hit])[0];
-            shader.albedo(hit, surface.expect("a hit on a triangle").color)
+            surface.expect("a hit on a triangle").color
         };
         for triangle in [0, 1] {
             for (weights, target) in [[1.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.25, 0.25, 0.5], [0.1, 0.2, 0.7]]

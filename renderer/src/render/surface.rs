@@ -8,7 +8,10 @@ use crate::{
     intersect::{ray::Hit, triangle},
     model::normal::Normal,
     simd::{Kernel, Simd},
-    texture::footprint::{self, FootprintLanes, Footprints, WideRay, WideRays},
+    texture::{
+        footprint::{self, FootprintLanes, Footprints, WideHit, WideRays},
+        materials::PointMaterial,
+    },
 };
 
 /// Hits that are done at once.
@@ -26,8 +29,24 @@ pub struct Surface {
     pub geometric: Vec3,
     /// The normal that light falls on.
     pub shading: Vec3,
-    /// The colours of the triangle's corners, interpolated in linear light; zero in a mesh without colours.
+    /// The part of light that is scattered, linear.
     pub color: Vec3,
+}
+
+/// The surfaces at up to 64 hits, by their number.
+///
+/// It is written again for each block of samples: copies took up to 5 % of a frame's time.
+pub(super) struct SurfaceBatch {
+    /// `None` for misses and caps.
+    pub(super) surfaces: [Option<Surface>; 64],
+    /// `None` also for surfaces that only scatter light.
+    pub(super) materials: [Option<PointMaterial>; 64],
+    /// On textures, if the mesh has texture coordinates.
+    pub(super) footprints: Footprints,
+}
+
+impl SurfaceBatch {
+    pub(super) const NONE: Self = Self { surfaces: [None; 64], materials: [None; 64], footprints: Footprints::NONE };
 }
 
 /// Interpolates normals and colours of a mesh where up to 64 rays hit its triangles; `None` for misses and caps.
@@ -35,6 +54,8 @@ pub(super) struct Surfaces<'a, R> {
     pub(super) mesh: &'a TracedMesh,
     pub(super) rays: R,
     pub(super) hits: &'a [Hit],
+    /// That of a mesh without colours.
+    pub(super) plain_color: Vec3,
     /// Entries beyond the hits are left as they are.
     pub(super) surfaces: &'a mut [Option<Surface>; 64],
     /// Those on textures, if the mesh has texture coordinates.
@@ -46,7 +67,7 @@ impl<R: WideRays> Kernel for Surfaces<'_, R> {
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        let Self { mesh, rays, hits, surfaces, footprints } = self;
+        let Self { mesh, rays, hits, plain_color, surfaces, footprints } = self;
         footprints.clear();
         // Choose the samples that hit triangles.
         let (mut samples, mut n_samples) = ([0; 64], 0);
@@ -61,17 +82,16 @@ impl<R: WideRays> Kernel for Surfaces<'_, R> {
             // instructions, and a frame's shading took 1.5 times as long.
             let of_lanes = std::array::from_fn(|lane| samples[lane.min(samples.len() - 1)]);
             let gathered = gather::<S>(mesh, rays, hits, &of_lanes);
-            let (weights, [to_eye, geometric, shading, color]) =
-                gathered.interpolate(|lane| rays.origin(of_lanes[lane]));
+            let points = gathered.interpolate(|lane| rays.origin(of_lanes[lane]), plain_color);
             if let Some(coordinates) = &gathered.coordinates {
-                footprints.push(&gathered.footprints(rays, &of_lanes, coordinates, &weights), samples.len());
+                footprints.push(&gathered.footprints(rays, &of_lanes, coordinates, &points), samples.len());
             }
             for (lane, &sample) in samples.iter().enumerate().take(N) {
                 surfaces[sample] = Some(Surface {
-                    to_eye: get(&to_eye, lane),
-                    geometric: get(&geometric, lane),
-                    shading: get(&shading, lane),
-                    color: get(&color, lane),
+                    to_eye: get(&points.to_eyes, lane),
+                    geometric: get(&points.geometrics, lane),
+                    shading: get(&points.shadings, lane),
+                    color: get(&points.colors, lane),
                 });
             }
         }
@@ -82,13 +102,14 @@ impl<R: WideRays> Kernel for Surfaces<'_, R> {
 #[inline(always)]
 fn gather<S: Simd>(mesh: &TracedMesh, rays: impl WideRays, hits: &[Hit], samples: &[usize; N]) -> Lanes {
     let mut triangles = [0; N];
-    let mut of_lanes = [[0.0; N]; 3];
+    let (mut directions, mut distances) = ([[0.0; N]; 3], [0.0; N]);
     for (lane, &sample) in samples.iter().enumerate() {
-        triangles[lane] = hits[sample].triangle;
-        set(&mut of_lanes, lane, rays.direction(sample));
+        (triangles[lane], distances[lane]) = (hits[sample].triangle, hits[sample].t);
+        set(&mut directions, lane, rays.direction(sample));
     }
     let mut lanes = Lanes {
-        directions: of_lanes,
+        directions,
+        distances,
         corners: [[[0.0; N]; 3]; 3],
         normals: mesh.has_normals().then_some([[0; N]; 3]),
         colors: mesh.has_colors().then_some([[[0.0; N]; 3]; 3]),
@@ -124,19 +145,35 @@ fn gather<S: Simd>(mesh: &TracedMesh, rays: impl WideRays, hits: &[Hit], samples
 /// mesh has them.
 struct Lanes {
     directions: Vectors,
+    /// Of the hits, in lengths of the directions.
+    distances: [f32; N],
     corners: [Vectors; 3],
     normals: Option<[[u32; N]; 3]>,
     colors: Option<[Vectors; 3]>,
     coordinates: Option<[footprint::Points; 3]>,
 }
 
+/// What a mesh is at hit points.
+struct Points {
+    /// The parts of the triangles' corners.
+    weights: Vectors,
+    /// See [`WideHit`].
+    normals: Vectors,
+    distances_by_area: [f32; N],
+    /// Those of [`Surface`].
+    to_eyes: Vectors,
+    geometrics: Vectors,
+    shadings: Vectors,
+    colors: Vectors,
+}
+
 impl Lanes {
-    /// The parts of the corners in the hit points, and the vectors of [`Surface`].
     #[inline(always)]
-    fn interpolate(&self, origin: impl Fn(usize) -> Vec3) -> (Vectors, [Vectors; 4]) {
-        let [mut to_eyes, mut of_triangles, mut geometrics, mut weights] = [[[0.0; N]; 3]; 4];
+    fn interpolate(&self, origin: impl Fn(usize) -> Vec3, plain_color: Vec3) -> Points {
+        let [mut to_eyes, mut normals, mut geometrics, mut weights] = [[[0.0; N]; 3]; 4];
+        let mut distances_by_area = [0.0; N];
         // In double precision, for triangles of any size.
-        for lane in 0..N {
+        for (lane, distance_by_area) in distances_by_area.iter_mut().enumerate() {
             let direction = get(&self.directions, lane);
             let [a, b, c] = [get(&self.corners[0], lane), get(&self.corners[1], lane), get(&self.corners[2], lane)];
             let parts = triangle::corner_weights(origin(lane), direction, &[a.to_array(), b.to_array(), c.to_array()]);
@@ -144,22 +181,23 @@ impl Lanes {
             let direction = direction.as_dvec3();
             let normal = (b.as_dvec3() - a.as_dvec3()).cross(c.as_dvec3() - a.as_dvec3());
             let of_triangle = normalize_or_zero(normal);
+            *distance_by_area = (f64::from(self.distances[lane]) * (1.0 / normal.length())) as f32;
             set(&mut to_eyes, lane, -normalize_or_zero(direction));
-            set(&mut of_triangles, lane, of_triangle);
+            set(&mut normals, lane, of_triangle);
             set(&mut geometrics, lane, if normal.dot(direction) > 0.0 { -of_triangle } else { of_triangle });
         }
         // Interpolate in single precision.
         let mut shadings = geometrics;
         if let Some([a, b, c]) = &self.normals {
             for lane in 0..N {
-                let (of_triangle, weight) = (get(&of_triangles, lane), get(&weights, lane));
+                let (of_triangle, weight) = (get(&normals, lane), get(&weights, lane));
                 let normal = corner_direction(Normal::of_bits(a[lane]), of_triangle) * weight.x
                     + corner_direction(Normal::of_bits(b[lane]), of_triangle) * weight.y
                     + corner_direction(Normal::of_bits(c[lane]), of_triangle) * weight.z;
                 set(&mut shadings, lane, visible_normal(normal, get(&geometrics, lane), get(&to_eyes, lane)));
             }
         }
-        let mut colors = [[0.0; N]; 3];
+        let mut colors = plain_color.to_array().map(|channel| [channel; N]);
         if let Some([a, b, c]) = &self.colors {
             for lane in 0..N {
                 let weight = get(&weights, lane);
@@ -167,7 +205,7 @@ impl Lanes {
                 set(&mut colors, lane, color);
             }
         }
-        (weights, [to_eyes, geometrics, shadings, colors])
+        Points { weights, normals, distances_by_area, to_eyes, geometrics, shadings, colors }
     }
 
     /// The footprints of rays with the numbers `of_lanes`.
@@ -177,16 +215,20 @@ impl Lanes {
         rays: impl WideRays,
         of_lanes: &[usize; N],
         coordinates: &[footprint::Points; 3],
-        weights: &Vectors,
+        points: &Points,
     ) -> FootprintLanes {
         let mut footprints = FootprintLanes::NONE;
         for lane in 0..N {
-            let (origin, sides) = (rays.origin(of_lanes[lane]), rays.sides(of_lanes[lane]));
-            let ray = WideRay { origin, direction: get(&self.directions, lane), sides };
-            let corners = [get(&self.corners[0], lane), get(&self.corners[1], lane), get(&self.corners[2], lane)];
+            let hit = WideHit {
+                direction: get(&self.directions, lane),
+                sides: rays.sides(of_lanes[lane]),
+                corners: [get(&self.corners[0], lane), get(&self.corners[1], lane), get(&self.corners[2], lane)],
+                normal: get(&points.normals, lane),
+                distance_by_area: points.distances_by_area[lane],
+            };
             let point = |[u, v]: &footprint::Points| Vec2::new(u[lane], v[lane]);
             let coordinates = [point(&coordinates[0]), point(&coordinates[1]), point(&coordinates[2])];
-            footprints.set(lane, &ray.footprint(corners, coordinates, get(weights, lane)));
+            footprints.set(lane, &hit.footprint(coordinates, get(&points.weights, lane)));
         }
         footprints
     }

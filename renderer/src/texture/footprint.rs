@@ -98,33 +98,36 @@ pub(crate) fn texture_point(ray: &Ray, corners: &[[f32; 3]; 3], [a, b, c]: [Vec2
     a * weights[0] as f32 + b * weights[1] as f32 + c * weights[2] as f32
 }
 
-/// A ray, and the change of its direction across the width and the height of its sample.
-pub(crate) struct WideRay {
-    pub(crate) origin: Vec3,
+/// A hit of a ray, and the change of the ray's direction across the width and the height of its sample.
+pub(crate) struct WideHit {
     pub(crate) direction: Vec3,
     pub(crate) sides: [Vec3; 2],
+    /// Those of the triangle.
+    pub(crate) corners: [Vec3; 3],
+    /// Of unit length, on the side where the corners run counter-clockwise.
+    pub(crate) normal: Vec3,
+    /// The hit's distance, in lengths of `direction`, over twice the triangle's area.
+    pub(crate) distance_by_area: f32,
 }
 
-impl WideRay {
-    /// The footprint on a triangle with these texture coordinates of its corners; `weights` are the corners' parts of the point
-    /// that the ray hits.
+impl WideHit {
+    /// The footprint on a triangle with these texture coordinates of its corners; `weights` are the corners' parts of the hit
+    /// point.
     ///
-    /// By Cramer's rule the parts of the second and third corner are linear functions of the direction over another; their
-    /// changes follow from the quotient rule. In `f64`, products of coordinates of any size are finite.
+    /// The point moves by t·(side − direction · (normal·side) / (normal·direction)), and the part of a corner grows at right
+    /// angles to the opposite edge, over twice the triangle's area.
     #[inline(always)]
-    pub(crate) fn footprint(&self, corners: [Vec3; 3], coordinates: [Vec2; 3], weights: Vec3) -> Footprint {
-        let [a, b, c] = corners.map(Vec3::as_dvec3);
-        let (ab, ac, from_a) = (b - a, c - a, self.origin.as_dvec3() - a);
-        let (of_b, of_c, of_all) = (from_a.cross(ac), ab.cross(from_a), ab.cross(ac));
-        // In units of the denominator, `f32` holds the vectors of triangles of any size, and twice as many fit in a vector
-        // register.
-        let scale = 1.0 / of_all.dot(self.direction.as_dvec3());
-        let [of_b, of_c, of_all] = [of_b, of_c, of_all].map(|vector| (vector * scale).as_vec3());
-        let [at_a, at_b, at_c] = coordinates;
+    pub(crate) fn footprint(&self, coordinates: [Vec2; 3], weights: Vec3) -> Footprint {
+        let ([a, b, c], [at_a, at_b, at_c]) = (self.corners, coordinates);
+        // Edges first, so that no product of triangles of any size overflows.
+        let (ab, ac) = ((b - a) * self.distance_by_area, (c - a) * self.distance_by_area);
+        let (growth_of_b, growth_of_c) = (ac.cross(self.normal), self.normal.cross(ab));
+        let (along_b, along_c) = (growth_of_b.dot(self.direction), growth_of_c.dot(self.direction));
+        let inverse = 1.0 / self.normal.dot(self.direction);
         let (to_b, to_c) = (at_b - at_a, at_c - at_a);
         let change = |side: Vec3| {
-            let change = of_all.dot(side);
-            to_b * (of_b.dot(side) - weights.y * change) + to_c * (of_c.dot(side) - weights.z * change)
+            let farther = self.normal.dot(side) * inverse;
+            to_b * (growth_of_b.dot(side) - along_b * farther) + to_c * (growth_of_c.dot(side) - along_c * farther)
         };
         Footprint {
             centre: at_a + to_b * weights.y + to_c * weights.z,
@@ -268,13 +271,19 @@ mod tests {
             let corners = triangle.map(|corner| corner.map(|x| x * scale));
             for (x, y) in (-4..5).flat_map(|x| (-4..5).map(move |y| (x as f32 / 5.0, y as f32 / 5.0))) {
                 let eye = Vec3::new(0.5 * x, 0.3, 4.0) * scale;
-                let ray = WideRay {
-                    origin: eye,
-                    direction: Vec3::new(x, y, -4.0) * scale,
+                let direction = Vec3::new(x, y, -4.0) * scale;
+                let [a, b, c] = corners.map(|corner| Vec3::from(corner).as_dvec3());
+                let normal = (b - a).cross(c - a);
+                let distance = normal.dot(a - eye.as_dvec3()) / normal.dot(direction.as_dvec3());
+                let ray = WideHit {
+                    direction,
                     sides: [Vec3::new(0.1, 0.0, 0.01) * scale, Vec3::new(0.0, 0.08, -0.02) * scale],
+                    corners: corners.map(Vec3::from),
+                    normal: normal.normalize().as_vec3(),
+                    distance_by_area: (distance / normal.length()) as f32,
                 };
                 let of_hit = weights(eye, ray.direction.as_dvec3(), corners).map(|weight| weight as f32);
-                let footprint = ray.footprint(corners.map(Vec3::from), coordinates, Vec3::from(of_hit));
+                let footprint = ray.footprint(coordinates, Vec3::from(of_hit));
                 let at = |side: f64, of: usize| {
                     let direction = ray.direction.as_dvec3() + ray.sides[of].as_dvec3() * side;
                     let weights = weights(eye, direction, corners);

@@ -35,6 +35,8 @@ pub(crate) struct TracedMaterials {
 
 #[derive(Debug, Serialize, Deserialize)]
 struct TracedMaterial {
+    /// Linear, without the texture and the vertices' colours.
+    base_color: Vec3,
     /// Without textures.
     plain: PointMaterial,
     base_color_texture: Option<Texture>,
@@ -60,11 +62,9 @@ struct Gaps {
     cutoff: f32,
 }
 
-/// A material at one point of a surface.
+/// A material at one point of a surface, without its colour.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PointMaterial {
-    /// Linear, without the vertices' colours.
-    pub base_color: Vec3,
     /// The surface's answer to light.
     pub finish: Finish,
     /// Linear light that the surface gives off.
@@ -154,11 +154,8 @@ impl TracedMaterials {
                 Finish::Matte
             };
             TracedMaterial {
-                plain: PointMaterial {
-                    base_color: Vec3::new(red, green, blue),
-                    finish,
-                    emissive: Vec3::from_array(material.emissive),
-                },
+                base_color: Vec3::new(red, green, blue),
+                plain: PointMaterial { finish, emissive: Vec3::from_array(material.emissive) },
                 base_color_texture: texture(material.base_color_texture, Part::Colors),
                 gloss_texture,
                 emissive_texture: texture(material.emissive_texture, Part::Colors),
@@ -203,14 +200,16 @@ impl TracedMaterials {
         self.has_masks
     }
 
-    /// Finds the materials where up to 64 rays hit triangles; `None` for misses, caps, and in meshes without materials. There are
-    /// footprints if triangles have texture coordinates.
+    /// Finds the materials where up to 64 rays hit triangles; `None` for misses, caps, and where a surface only scatters light.
+    /// Calls `tint` with the number of each other ray and the linear base colour, without the vertices'. There are footprints if
+    /// triangles have texture coordinates.
     pub(crate) fn find(
         &self,
         instructions: InstructionSet,
         hits: &[Hit],
         footprints: &Footprints,
         points: &mut [Option<PointMaterial>; 64],
+        mut tint: impl FnMut(usize, Vec3),
     ) {
         // Find the samples on triangles, and their materials.
         let (mut samples, mut n) = ([0; 64], 0);
@@ -221,7 +220,7 @@ impl TracedMaterials {
         }
         let samples = &samples[..n];
         if self.of_triangles.is_empty() {
-            self.set(instructions, 0, (samples, footprints), points);
+            self.set(instructions, 0, (samples, footprints), points, &mut tint);
             return;
         }
         let mut indices = [0; 64];
@@ -232,7 +231,7 @@ impl TracedMaterials {
         if let Some(&first) = indices.first()
             && indices.iter().all(|&index| index == first)
         {
-            self.set(instructions, first, (samples, footprints), points);
+            self.set(instructions, first, (samples, footprints), points, &mut tint);
             return;
         }
 
@@ -247,7 +246,7 @@ impl TracedMaterials {
                 rest &= !(u64::from(other == index) << number);
             }
             let footprints = if footprints.is_empty() { Footprints::NONE } else { footprints.pick(&picked[..n]) };
-            self.set(instructions, index, (&of_material[..n], &footprints), points);
+            self.set(instructions, index, (&of_material[..n], &footprints), points, &mut tint);
         }
     }
 
@@ -258,8 +257,9 @@ impl TracedMaterials {
         index: usize,
         (samples, footprints): (&[usize], &Footprints),
         points: &mut [Option<PointMaterial>; 64],
+        tint: &mut impl FnMut(usize, Vec3),
     ) {
-        let Some(TracedMaterial { plain, base_color_texture, gloss_texture, emissive_texture, .. }) =
+        let Some(TracedMaterial { base_color, plain, base_color_texture, gloss_texture, emissive_texture, .. }) =
             self.materials.get(index)
         else {
             return;
@@ -267,9 +267,12 @@ impl TracedMaterials {
         let mut means = [[1.0; 64]; 3];
         self.look_up(instructions, base_color_texture.as_ref(), footprints, &mut means);
         for (index, &sample) in samples.iter().enumerate().take(64) {
-            let mean = Vec3::new(means[0][index], means[1][index], means[2][index]);
-            points[sample] = Some(PointMaterial { base_color: plain.base_color * mean, ..*plain });
+            tint(sample, base_color * Vec3::new(means[0][index], means[1][index], means[2][index]));
         }
+        if plain.only_scatters() {
+            return;
+        }
+        samples.iter().for_each(|&sample| points[sample] = Some(*plain));
         if self.look_up(instructions, gloss_texture.as_ref(), footprints, &mut means) {
             let [_, roughnesses, metallics] = &means;
             for (&sample, (of_roughness, of_metallic)) in samples.iter().zip(roughnesses.iter().zip(metallics)) {
@@ -322,6 +325,12 @@ impl TracedMaterials {
     #[inline]
     fn index_of_triangle(&self, triangle_idx: u32) -> usize {
         self.of_triangles.get(triangle_idx as usize).map_or(0, |&index| usize::from(index))
+    }
+}
+
+impl PointMaterial {
+    fn only_scatters(&self) -> bool {
+        self.finish == Finish::Matte && self.emissive == Vec3::ZERO
     }
 }
 

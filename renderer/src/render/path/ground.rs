@@ -61,7 +61,7 @@ impl Ground {
     /// The ground at a point, seen along a ray.
     pub(super) fn surface(&self, direction: Vec3) -> Surface {
         let up = self.up.as_vec3();
-        Surface { to_eye: -direction.normalize(), geometric: up, shading: up, color: Vec3::ZERO }
+        Surface { to_eye: -direction.normalize(), geometric: up, shading: up, color: Vec3::ONE }
     }
 
     /// The part of a background that stands for light which the ground scatters.

@@ -49,16 +49,17 @@ const SMOOTHEST: f32 = 0.1;
 
 impl Scattering {
     /// A surface that only scatters light.
-    pub(super) fn matte(surface: &Surface, color: Vec3) -> Self {
-        let Surface { to_eye, geometric, shading: normal, .. } = *surface;
+    pub(super) fn matte(surface: &Surface) -> Self {
+        let Surface { to_eye, geometric, shading: normal, color } = *surface;
         let diffuse = color.clamp(Vec3::ZERO, Vec3::ONE);
         Self { geometric, normal, to_eye, tangents: tangent_basis(normal), diffuse, gloss: None }
     }
 
     /// A surface that also reflects light. `least_roughness` blurs reflections that are seen by scattered light: Kaplanyan and
     /// Dachsbacher, "Path Space Regularization for Holistic and Robust Light Transport" (2013).
-    pub(super) fn glossy(surface: &Surface, color: Vec3, roughness: f32, metallic: f32, least_roughness: f32) -> Self {
-        let matte = Self::matte(surface, color * (1.0 - metallic));
+    pub(super) fn glossy(surface: &Surface, roughness: f32, metallic: f32, least_roughness: f32) -> Self {
+        let color = surface.color;
+        let matte = Self::matte(&Surface { color: color * (1.0 - metallic), ..*surface });
         let roughness = roughness.max(least_roughness.max(SMOOTHEST)).min(1.0);
         let facing = gloss::facing(color.clamp(Vec3::ZERO, Vec3::ONE), metallic);
         let fresnel = gloss::fresnel(facing, 1.0, matte.normal.dot(matte.to_eye));

@@ -227,11 +227,11 @@ fn the_sun_s_shadow_has_the_penumbra_of_a_disc() {
 fn gloss_reflects_no_more_than_all_light() {
     let surface = |cosine: f32| {
         let to_eye = Vec3::new((1.0 - cosine * cosine).sqrt(), 0.0, cosine);
-        Surface { to_eye, geometric: Vec3::Z, shading: Vec3::Z, color: Vec3::ZERO }
+        Surface { to_eye, geometric: Vec3::Z, shading: Vec3::Z, color: Vec3::ONE }
     };
     for (roughness, metallic) in [(0.0, 0.0), (0.3, 1.0), (0.6, 0.5), (1.0, 0.0), (1.0, 1.0)] {
         for cosine in [0.05, 0.4, 0.9, 1.0] {
-            let scattering = Scattering::glossy(&surface(cosine), Vec3::ONE, roughness, metallic, 0.0);
+            let scattering = Scattering::glossy(&surface(cosine), roughness, metallic, 0.0);
             let random = |index: u32, dimension: u32| PixelSample::new((7, 9), index).pair(dimension);
             // By directions that follow the surface, and by all directions of the hemisphere.
             let n = 1 << 14;
@@ -268,14 +268,14 @@ fn rare_paths_see_blurred_reflections_and_those_of_mirrors_sharp_ones() {
     assert_eq!([0.01, std::f32::consts::FRAC_1_PI].map(least_roughness), [0.5; 2], "diffuse light");
     let surface = |to_eye: Vec3| Surface { to_eye, geometric: Vec3::Z, shading: Vec3::Z, color: Vec3::ONE };
     let to_eye = Vec3::new(0.6, 0.0, 0.8);
-    let mirror = Scattering::glossy(&surface(to_eye), Vec3::ONE, 0.0, 1.0, 0.0);
+    let mirror = Scattering::glossy(&surface(to_eye), 0.0, 1.0, 0.0);
     let least = |direction: Vec3| least_roughness(mirror.toward(direction).1);
     assert!(least(Vec3::new(-0.6, 0.0, 0.8)) < 0.11, "a smooth surface is shown as it is");
     assert_eq!(least(Vec3::new(0.6, 0.0, 0.8)), 0.5, "chance leads there");
     // The sun's highlight on a smooth surface is never brighter than the path's density allows.
     for log in -2..12 {
         let density = 1.7f32.powi(log);
-        let seen = Scattering::glossy(&surface(Vec3::Z), Vec3::ONE, 0.0, 1.0, least_roughness(density));
+        let seen = Scattering::glossy(&surface(Vec3::Z), 0.0, 1.0, least_roughness(density));
         let brightest = seen.toward(Vec3::Z).0.x * PI as f32;
         assert!(brightest < 3.2 * density.max(SCATTERED_DENSITY), "{density}: {brightest}");
     }

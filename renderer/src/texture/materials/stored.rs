@@ -30,7 +30,7 @@ impl TracedMaterials {
     }
 
     fn is_sound(&self, material: &TracedMaterial) -> bool {
-        let TracedMaterial { plain: PointMaterial { base_color, finish, emissive }, gaps, .. } = material;
+        let TracedMaterial { base_color, plain: PointMaterial { finish, emissive }, gaps, .. } = material;
         let is_part = |x: f32| (0.0..=1.0).contains(&x);
         let is_finish = match *finish {
             Finish::Matte | Finish::Unlit => true,
