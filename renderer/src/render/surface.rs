@@ -82,16 +82,16 @@ impl<R: WideRays> Kernel for Surfaces<'_, R> {
             // instructions, and a frame's shading took 1.5 times as long.
             let of_lanes = std::array::from_fn(|lane| samples[lane.min(samples.len() - 1)]);
             let gathered = gather::<S>(mesh, rays, hits, &of_lanes);
-            let points = gathered.interpolate(|lane| rays.origin(of_lanes[lane]), plain_color);
+            let found = gathered.interpolate(|lane| rays.origin(of_lanes[lane]), plain_color);
             if let Some(coordinates) = &gathered.coordinates {
-                footprints.push(&gathered.footprints(rays, &of_lanes, coordinates, &points), samples.len());
+                footprints.push(&gathered.footprints(rays, &of_lanes, coordinates, &found), samples.len());
             }
             for (lane, &sample) in samples.iter().enumerate().take(N) {
                 surfaces[sample] = Some(Surface {
-                    to_eye: get(&points.to_eyes, lane),
-                    geometric: get(&points.geometrics, lane),
-                    shading: get(&points.shadings, lane),
-                    color: get(&points.colors, lane),
+                    to_eye: get(&found.to_eyes, lane),
+                    geometric: get(&found.geometrics, lane),
+                    shading: get(&found.shadings, lane),
+                    color: get(&found.colors, lane),
                 });
             }
         }
@@ -153,11 +153,11 @@ struct Lanes {
     coordinates: Option<[footprint::Points; 3]>,
 }
 
-/// What a mesh is at hit points.
-struct Points {
-    /// The parts of the triangles' corners.
+/// The surfaces at hits, and what their footprints need.
+struct SurfaceLanes {
+    /// The parts of the triangles' corners in the hit points.
     weights: Vectors,
-    /// See [`WideHit`].
+    /// Those of triangles: see [`WideHit`].
     normals: Vectors,
     distances_by_area: [f32; N],
     /// Those of [`Surface`].
@@ -168,8 +168,9 @@ struct Points {
 }
 
 impl Lanes {
+    /// The surfaces where rays from `origin` of a lane hit; `plain_color` is that of a mesh without colours.
     #[inline(always)]
-    fn interpolate(&self, origin: impl Fn(usize) -> Vec3, plain_color: Vec3) -> Points {
+    fn interpolate(&self, origin: impl Fn(usize) -> Vec3, plain_color: Vec3) -> SurfaceLanes {
         let [mut to_eyes, mut normals, mut geometrics, mut weights] = [[[0.0; N]; 3]; 4];
         let mut distances_by_area = [0.0; N];
         // In double precision, for triangles of any size.
@@ -205,7 +206,7 @@ impl Lanes {
                 set(&mut colors, lane, color);
             }
         }
-        Points { weights, normals, distances_by_area, to_eyes, geometrics, shadings, colors }
+        SurfaceLanes { weights, normals, distances_by_area, to_eyes, geometrics, shadings, colors }
     }
 
     /// The footprints of rays with the numbers `of_lanes`.
@@ -215,7 +216,7 @@ impl Lanes {
         rays: impl WideRays,
         of_lanes: &[usize; N],
         coordinates: &[footprint::Points; 3],
-        points: &Points,
+        surfaces: &SurfaceLanes,
     ) -> FootprintLanes {
         let mut footprints = FootprintLanes::NONE;
         for lane in 0..N {
@@ -223,12 +224,12 @@ impl Lanes {
                 direction: get(&self.directions, lane),
                 sides: rays.sides(of_lanes[lane]),
                 corners: [get(&self.corners[0], lane), get(&self.corners[1], lane), get(&self.corners[2], lane)],
-                normal: get(&points.normals, lane),
-                distance_by_area: points.distances_by_area[lane],
+                normal: get(&surfaces.normals, lane),
+                distance_by_area: surfaces.distances_by_area[lane],
             };
             let point = |[u, v]: &footprint::Points| Vec2::new(u[lane], v[lane]);
             let coordinates = [point(&coordinates[0]), point(&coordinates[1]), point(&coordinates[2])];
-            footprints.set(lane, &hit.footprint(coordinates, get(&points.weights, lane)));
+            footprints.set(lane, &hit.footprint(coordinates, get(&surfaces.weights, lane)));
         }
         footprints
     }

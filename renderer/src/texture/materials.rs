@@ -201,8 +201,8 @@ impl TracedMaterials {
     }
 
     /// Finds the materials where up to 64 rays hit triangles; `None` for misses, caps, and where a surface only scatters light.
-    /// Calls `tint` with the number of each other ray and the linear base colour, without the vertices'. There are footprints if
-    /// triangles have texture coordinates.
+    /// Calls `tint` with the number of each ray that hits a triangle with a material, and the linear base colour there, without
+    /// the vertices'. There are footprints if triangles have texture coordinates.
     pub(crate) fn find(
         &self,
         instructions: InstructionSet,
