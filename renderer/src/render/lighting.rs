@@ -14,7 +14,7 @@ use crate::{
     },
     render::{
         blocks::SampleBlock,
-        path::{PathTracer, tone::ToneMapping},
+        path::{PathTracer, PixelSums, sun_sight::SunSight, tone::ToneMapping},
         sampling::sample_point,
         scene::Scene,
         secondary::SecondaryRays,
@@ -64,37 +64,42 @@ impl<'a> Lighting<'a> {
         if self.paths.is_some() { (PATHS_AT_ONCE / (64 * n_blocks)) as u32 } else { 1 }
     }
 
-    /// The linear light of neighbouring blocks, for each of several samples: of the first number and those after it, of the
-    /// blocks' pixels (i, j), whose rays follow `directions` to `hits`. Entries beyond a block's samples are undefined.
+    /// Adds the linear light of several samples of neighbouring blocks to `sums`: of the first number and those after it, of the
+    /// blocks' pixels (i, j), whose rays follow `directions` to `hits`. What is in `lights` does not matter.
     pub fn light_group(
         &self,
         blocks: &[SampleBlock<'_>],
         first_sample: u32,
-        directions: &[GroupOf<Vec3>],
-        hits: &[GroupOf<Hit>],
+        (directions, hits): (&[GroupOf<Vec3>], &[GroupOf<Hit>]),
         scratch: &mut PacketScratch,
         lights: &mut Vec<GroupOf<Vec3>>,
+        sums: &mut LightSums,
     ) {
         lights.clear();
         lights.resize(hits.len(), [[Vec3::ZERO; 64]; MOST_PACKETS]);
         let rays = directions.iter().zip(hits).zip(&mut *lights);
         let samples = (0..).map(|index| first_sample.wrapping_add(index)).zip(rays);
-        let Some((tracer, _)) = &self.paths else {
-            return samples.for_each(|(sample, ((directions, hits), lights))| {
-                self.light_sample(blocks, sample, directions, hits, scratch, lights);
-            });
-        };
-        let mut paths = Vec::with_capacity(64 * blocks.len() * hits.len());
-        for (index, (sample, ((directions, hits), lights))) in samples.enumerate() {
-            let first = 64 * MOST_PACKETS * index;
-            for (index, block) in blocks.iter().enumerate() {
-                for (sample_idx, (i, j)) in block.samples().enumerate().filter(|&(at, _)| hits[index][at].is_miss()) {
-                    lights[index][sample_idx] = self.shader.backdrop(sample_point(i, j, sample).1);
+        if let Some((tracer, _)) = &self.paths {
+            let mut paths = Vec::with_capacity(64 * blocks.len() * hits.len());
+            for (index, (sample, ((directions, hits), lights))) in samples.enumerate() {
+                let first = 64 * MOST_PACKETS * index;
+                for (index, block) in blocks.iter().enumerate() {
+                    let points = block.samples().enumerate();
+                    for (sample_idx, (i, j)) in points.filter(|&(at, _)| hits[index][at].is_miss()) {
+                        lights[index][sample_idx] = self.shader.backdrop(sample_point(i, j, sample).1);
+                    }
                 }
+                let rays = (directions.as_slice(), self.sample_sides);
+                tracer.begin(blocks, sample, rays, (hits, lights), (first, &sums.sights), &mut paths);
             }
-            tracer.begin(blocks, sample, (directions, self.sample_sides), (hits, lights), first, &mut paths);
+            let lights = lights.as_flattened_mut().as_flattened_mut();
+            tracer.add_lights(&self.shader, paths, PixelSums { lights, sights: &mut sums.sights });
+        } else {
+            for (sample, ((directions, hits), lights)) in samples {
+                self.light_sample(blocks, sample, directions, hits, scratch, lights);
+            }
         }
-        tracer.add_lights(&self.shader, paths, lights.as_flattened_mut().as_flattened_mut());
+        lights.iter().zip(hits).for_each(|(lights, hits)| self.add(blocks.len(), lights, hits, sums));
     }
 
     /// The light of one sample of each pixel, without paths.
@@ -143,11 +148,16 @@ impl<'a> Lighting<'a> {
     /// Sums of the light of no samples yet.
     pub fn no_light(&self) -> LightSums {
         let n_pixels = if self.paths.is_some() { 64 * MOST_PACKETS } else { 0 };
-        LightSums { n_samples: 0, lights: [[Vec3::ZERO; 64]; MOST_PACKETS], as_it_is: vec![(Vec3::ZERO, 0); n_pixels] }
+        LightSums {
+            n_samples: 0,
+            lights: [[Vec3::ZERO; 64]; MOST_PACKETS],
+            as_it_is: vec![(Vec3::ZERO, 0); n_pixels],
+            sights: vec![SunSight::default(); n_pixels],
+        }
     }
 
     /// Adds the light of a sample of each pixel of `n_blocks` blocks to their sums.
-    pub fn add(&self, n_blocks: usize, lights: &[[Vec3; 64]], hits: &[[Hit; 64]], sums: &mut LightSums) {
+    fn add(&self, n_blocks: usize, lights: &[[Vec3; 64]], hits: &[[Hit; 64]], sums: &mut LightSums) {
         sums.n_samples += 1;
         let lights = lights.as_flattened().iter().take(64 * n_blocks);
         let lit = sums.lights.as_flattened_mut();
@@ -197,9 +207,16 @@ pub struct LightSums {
     pub lights: [[Vec3; 64]; MOST_PACKETS],
     /// Of the others in path-traced frames, and their number; empty in other frames.
     as_it_is: Vec<(Vec3, u32)>,
+    /// What the pixels' rays found of the sun; empty in frames without paths.
+    pub(super) sights: Vec<SunSight>,
 }
 
 impl LightSums {
+    /// Number of rays that the samples of pixel `index` of a block took, in path-traced frames.
+    pub fn n_rays(&self, (block, index): (usize, usize)) -> u32 {
+        self.n_samples + self.sights.get(64 * block + index).map_or(0, |sight| sight.n_rays)
+    }
+
     /// The light of the samples that are not in `others`, which are the first of them.
     pub(super) fn without(&self, others: &Self) -> Self {
         let mut rest = self.clone();
@@ -220,6 +237,7 @@ impl LightSums {
             picked.lights.as_flattened_mut()[to] = self.lights.as_flattened()[from];
             if !self.as_it_is.is_empty() {
                 picked.as_it_is[to] = self.as_it_is[from];
+                picked.sights[to] = self.sights[from];
             }
         }
         picked

@@ -5,6 +5,8 @@
 //! samples where their number is a power of two. A pixel whose few samples happen to agree must not stop too early, so the
 //! estimates of neighbours in its tile, and its earlier ones, count as well.
 //!
+//! Rays to the sun are left out where those of the neighbours in the tile all found the same: see [`Expected`].
+//!
 //! Samples that are proportional to the standard deviation of a pixel's light give a picture the least error; pixels of equal
 //! noise, as many as their variance asks for, are no better in that than equal numbers everywhere. So a pixel that needs many
 //! samples may keep more noise: see [`allowed`].
@@ -20,6 +22,7 @@ use shared::{
 use crate::render::{
     blocks::{SampleBlock, for_each_group},
     lighting::{LightSums, Lighting},
+    path::sun_sight::Expected,
     tracer::Sampler,
 };
 
@@ -33,6 +36,10 @@ const N_STEPS: u32 = 4;
 
 /// The noise of a pixel is estimated from those of its tile that are at most so far away along each side.
 const REACH: usize = 2;
+
+/// The same for what its rays to the sun are expected to find. Edges of shadows are sharp, and half of the rays are traced next, so
+/// nine pixels say enough.
+const SUN_REACH: usize = 1;
 
 /// The limit of a frame whose pixels may stop early.
 pub(super) fn of_frame(spec: &FrameSpec) -> Option<NoiseLimit> {
@@ -97,6 +104,7 @@ fn sum_group(
     };
     let mut pixels: Vec<_> = tiles.iter().enumerate().flat_map(of_tile).collect();
     let mut squared_noises = vec![[0.0; 64]; tiles.len()];
+    let mut sun_rays = vec![[[0.0; 64]; 2]; tiles.len()];
     let mut sums = sampler.lighting.no_light();
     add(sampler, tiles, &pixels, FEWEST_SAMPLES / 2, &mut sums);
     let mut half = sums.clone();
@@ -110,11 +118,19 @@ fn sum_group(
             let squared = squared_noise(&sampler.lighting, halves, place);
             let known = &mut squared_noises[pixel.tile][pixel.index];
             *known = if n_samples == FEWEST_SAMPLES { squared } else { 0.5 * (*known + squared) };
+            let sight = &sums.sights[place];
+            let counts = [sight.n_lit, sight.n_shaded].into_iter().zip(&mut sun_rays[pixel.tile]);
+            counts.for_each(|(count, of_tile)| of_tile[pixel.index] = f64::from(count));
         }
-        for Pixel { tile, index, end } in &mut pixels {
-            let of_tile = &squared_noises[*tile][..tiles[*tile].n_samples()];
-            let steps = n_steps(mean_around(of_tile, tiles[*tile].row_length(), *index), n_samples, limit);
+        for (Pixel { tile, index, end }, sight) in pixels.iter_mut().zip(&mut sums.sights) {
+            let block = &tiles[*tile];
+            let around = |of_tile: &[f64; 64], reach| {
+                mean_around(&of_tile[..block.n_samples()], block.row_length(), *index, reach)
+            };
+            let steps = n_steps(around(&squared_noises[*tile], REACH), n_samples, limit);
             *end = steps.map_or(most, |steps| most.min(n_samples + steps * (n_samples / N_STEPS)));
+            let counts = sun_rays[*tile].each_ref().map(|of_tile| around(of_tile, SUN_REACH));
+            sight.expected = Expected::after(n_samples, counts);
         }
         half = sums.clone();
         // Add samples in steps, and put aside the pixels that have enough.
@@ -153,9 +169,9 @@ fn squared_noise(lighting: &Lighting<'_>, halves: [&LightSums; 2], place: usize)
     f64::from(differences.map(|difference| difference * difference).sum::<i32>()) / 12.0
 }
 
-/// The mean of the numbers of a tile's pixels, row by row, around one of them.
-fn mean_around(numbers: &[f64], row_length: usize, index: usize) -> f64 {
-    let around = |at: usize, n: usize| at.saturating_sub(REACH)..(at + REACH + 1).min(n);
+/// The mean of the numbers of a tile's pixels, row by row, that are at most `reach` away from one of them along each side.
+fn mean_around(numbers: &[f64], row_length: usize, index: usize, reach: usize) -> f64 {
+    let around = |at: usize, n: usize| at.saturating_sub(reach)..(at + reach + 1).min(n);
     let (rows, columns) =
         (around(index / row_length, numbers.len() / row_length), around(index % row_length, row_length));
     let n = rows.len() * columns.len();
@@ -207,7 +223,7 @@ mod tests {
                 };
                 let near: Vec<_> = (0..numbers.len()).filter(|&at| is_near(at)).map(|at| numbers[at]).collect();
                 let expected = near.iter().sum::<f64>() / near.len() as f64;
-                assert_eq!(mean_around(&numbers, row_length, index), expected, "{row_length}x{n_rows}: {index}");
+                assert_eq!(mean_around(&numbers, row_length, index, 2), expected, "{row_length}x{n_rows}: {index}");
             }
         }
     }

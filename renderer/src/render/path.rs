@@ -8,8 +8,8 @@
 //! The paths of neighbouring pixels, and several of each, go from bounce to bounce together, so that hundreds of rays are traced
 //! in one call. Only + − × ÷ √ are used, in a fixed order for each path: every machine computes the same bits.
 //!
-//! `sobol` makes random numbers, `lights` are sun and sky, `lamp` lights rooms, `ground` catches shadows, `scattering` is what surfaces do to light, and
-//! `tone` makes it fit a display.
+//! `sobol` makes random numbers, `lights` are sun and sky, `sun_sight` leaves out rays to the sun, `lamp` lights rooms, `ground`
+//! catches shadows, `scattering` is what surfaces do to light, and `tone` makes it fit a display.
 
 mod ground;
 mod lamp;
@@ -18,6 +18,7 @@ mod scattering;
 #[cfg(test)]
 mod sky_tests;
 mod sobol;
+pub(super) mod sun_sight;
 #[cfg(test)]
 mod tests;
 pub(super) mod tone;
@@ -31,11 +32,12 @@ use self::{
     lights::{Sky, Sun},
     scattering::{ScatterSample, Scattering},
     sobol::PixelSample,
+    sun_sight::{Expected, SunSight},
 };
 use crate::{
     grid::Grid,
     intersect::{
-        clip,
+        MOST_PACKETS, clip,
         ray::{Hit, Ray},
     },
     render::{
@@ -94,7 +96,7 @@ pub(super) struct PathTracer<'a> {
 
 /// A path that has hit a surface, or the ground.
 pub(super) struct Path {
-    /// Index of its sum of light: the samples follow each other, each with all pixels of the group of blocks.
+    /// Index of its sum of light.
     pixel: usize,
     sample: PixelSample,
     origin: DVec3,
@@ -107,6 +109,23 @@ pub(super) struct Path {
     weight: Vec3,
     /// The least density with which a direction of the path was chosen, for each steradian.
     density: f32,
+    /// What the next ray to the sun is expected to find.
+    expected: Option<Expected>,
+}
+
+/// What paths find, by pixel.
+pub(super) struct PixelSums<'a> {
+    /// Of each sample: the samples follow each other, each with all pixels of a group of blocks.
+    pub(super) lights: &'a mut [Vec3],
+    /// Of all samples.
+    pub(super) sights: &'a mut [SunSight],
+}
+
+impl PixelSums<'_> {
+    /// The sight of the pixel whose light has this index.
+    fn sight(&mut self, pixel: usize) -> &mut SunSight {
+        &mut self.sights[pixel % (64 * MOST_PACKETS)]
+    }
 }
 
 /// The least roughness of reflections that a path sees whose directions were chosen with this density, for each steradian:
@@ -124,6 +143,8 @@ struct Contribution {
     light: Vec3,
     /// Whether it comes where the ray hits something, as the light that the ground loses there, rather than where it hits nothing.
     comes_with_hit: bool,
+    /// Whether the ray goes to the sun from the surface that the camera sees.
+    shows_sun: bool,
 }
 
 /// A ray of a path, and the light that it brings.
@@ -171,6 +192,28 @@ impl NextRays {
             self.contributions.push(contribution);
         }
     }
+
+    /// Adds what a shadow ray of this length is expected to bring; and where `random`, from 0 to 1, is below the part of such rays
+    /// that is traced, the ray, which brings the difference if it finds otherwise.
+    fn push_expected_ray(
+        &mut self,
+        ray: (DVec3, Vec3, f32),
+        contribution: Contribution,
+        (Expected { is_shaded, traced_part }, random): (Expected, f32),
+        sums: &mut PixelSums<'_>,
+    ) {
+        let Contribution { pixel, light, comes_with_hit, .. } = contribution;
+        let is_expected_to_come = comes_with_hit == is_shaded;
+        if is_expected_to_come {
+            sums.lights[pixel] += light;
+        }
+        if random >= traced_part {
+            return;
+        }
+        let sign = if is_expected_to_come { -1.0 } else { 1.0 };
+        let difference = light * (sign / traced_part);
+        self.push_shadow_ray(ray, Contribution { light: difference, comes_with_hit: !is_shaded, ..contribution });
+    }
 }
 
 impl<'a> PathTracer<'a> {
@@ -205,14 +248,14 @@ impl<'a> PathTracer<'a> {
 
     /// Begins the paths of sample number `sample` of neighbouring blocks' pixels, whose rays follow `directions` from the eye
     /// to `hits`; `sides` are the changes of direction across a sample. Misses begin none, unless they meet the ground before
-    /// their `backdrops`. `first` is the index of the first pixel's sum of light.
+    /// their `backdrops`. `first` is the index of the first pixel's sum of light; `sights` are what was seen of the sun.
     pub(super) fn begin(
         &self,
         blocks: &[SampleBlock<'_>],
         sample: u32,
         (directions, sides): (&[[Vec3; 64]], [Vec3; 2]),
         (hits, backdrops): (&[[Hit; 64]], &[[Vec3; 64]]),
-        first: usize,
+        (first, sights): (usize, &[SunSight]),
         paths: &mut Vec<Path>,
     ) {
         for (index, block) in blocks.iter().enumerate() {
@@ -224,8 +267,9 @@ impl<'a> PathTracer<'a> {
                     None if hit.is_miss() => continue,
                     None => Vec3::ONE,
                 };
+                let place = 64 * index + sample_idx;
                 paths.push(Path {
-                    pixel: first + 64 * index + sample_idx,
+                    pixel: first + place,
                     sample: PixelSample::new(pixel, sample),
                     origin: self.eye,
                     direction,
@@ -233,15 +277,16 @@ impl<'a> PathTracer<'a> {
                     hit,
                     weight,
                     density: f32::INFINITY,
+                    expected: sights[place].expected,
                 });
             }
         }
     }
 
-    /// Follows paths to their ends, and adds their light to `lights`.
-    pub(super) fn add_lights(&self, shader: &Shader<'_>, mut paths: Vec<Path>, lights: &mut [Vec3]) {
+    /// Follows paths to their ends, and adds what they find to `sums`.
+    pub(super) fn add_lights(&self, shader: &Shader<'_>, mut paths: Vec<Path>, mut sums: PixelSums<'_>) {
         for bounce in 0..=self.bounces {
-            paths = self.bounce(shader, bounce, &paths, lights);
+            paths = self.bounce(shader, bounce, &paths, &mut sums);
             if paths.is_empty() {
                 break;
             }
@@ -249,7 +294,7 @@ impl<'a> PathTracer<'a> {
     }
 
     /// Lights the surfaces that paths have hit, and follows the paths to their next surfaces; the last bounce only to the sky.
-    fn bounce(&self, shader: &Shader<'_>, bounce: u8, paths: &[Path], lights: &mut [Vec3]) -> Vec<Path> {
+    fn bounce(&self, shader: &Shader<'_>, bounce: u8, paths: &[Path], sums: &mut PixelSums<'_>) -> Vec<Path> {
         let mut next = NextRays { pending: Vec::with_capacity(paths.len()), ..NextRays::default() };
         let (mut batch, mut hits) = (SurfaceBatch::NONE, [Hit::MISS; 64]);
         for paths in paths.chunks(64) {
@@ -262,33 +307,49 @@ impl<'a> PathTracer<'a> {
                     let Some(ground) = &self.ground else { continue };
                     let Some(lifted) = ground.point(path.origin, path.direction) else { continue };
                     let scattering = Scattering::matte(&ground.surface(path.direction));
-                    self.scatter(path, &lifted, &scattering, bounce, &mut next);
+                    self.scatter(path, &lifted, &scattering, bounce, &mut next, sums);
                     continue;
                 }
                 let surface = batch.surfaces[index].unwrap_or_else(|| shader.cap(path.direction));
                 let Some(lifted) = self.lift.point(path.origin, path.direction, path.hit) else { continue };
-                let (material, light) = (batch.materials[index].as_ref(), &mut lights[path.pixel]);
+                let (material, light) = (batch.materials[index].as_ref(), &mut sums.lights[path.pixel]);
                 let Some(scattering) = Self::scattering(path, &surface, material, light) else { continue };
-                self.scatter(path, &lifted, &scattering, bounce, &mut next);
+                self.scatter(path, &lifted, &scattering, bounce, &mut next, sums);
             }
         }
         let NextRays { shadow_rays, contributions, pending } = next;
-        self.cast_shadows(shadow_rays, &contributions, lights);
-        self.follow(pending, lights)
+        self.cast_shadows(shadow_rays, &contributions, sums);
+        self.follow(pending, sums)
     }
 
     /// Sends rays to the lights from a surface that a path has hit, and one to the path's next surface.
     #[inline(always)]
-    fn scatter(&self, path: &Path, lifted: &LiftedPoint, scattering: &Scattering, bounce: u8, rays: &mut NextRays) {
+    fn scatter(
+        &self,
+        path: &Path,
+        lifted: &LiftedPoint,
+        scattering: &Scattering,
+        bounce: u8,
+        rays: &mut NextRays,
+        sums: &mut PixelSums<'_>,
+    ) {
         let (is_on_ground, is_last) = (path.hit.is_miss(), bounce == self.bounces);
         let brings = |light: Vec3| Contribution {
             pixel: path.pixel,
             light: if is_on_ground { -light } else { light },
             comes_with_hit: is_on_ground,
+            shows_sun: false,
         };
         let random = |number: u32| path.sample.pair(DIMENSIONS * u32::from(bounce) + number);
+        let [choice, roulette] = random(1);
         let (direction, of_sun) = self.sun_light(scattering, random(0));
-        rays.push_shadow_ray((lifted.point, direction, f32::MAX), brings(path.weight * of_sun));
+        let to_sun = (lifted.point, direction, f32::MAX);
+        let sunlight = Contribution { shows_sun: bounce == 0, ..brings(path.weight * of_sun) };
+        match path.expected {
+            // No path ends at its first surface, so the number is free there.
+            Some(expected) => rays.push_expected_ray(to_sun, sunlight, (expected, roulette), sums),
+            None => rays.push_shadow_ray(to_sun, sunlight),
+        }
         // The lamp shows the model alone.
         if let Some(lamp) = self.lamp.as_ref().filter(|_| !is_on_ground) {
             let (to_lamp, light) = lamp.toward(lifted.point);
@@ -298,7 +359,6 @@ impl<'a> PathTracer<'a> {
         }
 
         // The path's next ray; the less light it brings, the more often it ends (Russian roulette).
-        let [choice, roulette] = random(1);
         let Some(next) = scattering.sample(choice, random(2)) else { return };
         let ScatterSample { direction, is_diffuse, density, .. } = next;
         let weight = path.weight * next.weight;
@@ -322,6 +382,7 @@ impl<'a> PathTracer<'a> {
                 sides: tangent_basis(direction).map(|side| side * width),
                 weight,
                 density: path.density.min(density),
+                expected: None,
                 ..*path
             },
             contribution: escaped,
@@ -370,24 +431,35 @@ impl<'a> PathTracer<'a> {
         sky + sun.radiance * (density / (density + sun.density))
     }
 
-    /// Traces shadow rays, and adds their light.
-    fn cast_shadows(&self, mut rays: Vec<Ray>, contributions: &[Contribution], lights: &mut [Vec3]) {
+    /// Traces shadow rays, and adds their light and what they see of the sun.
+    fn cast_shadows(&self, mut rays: Vec<Ray>, contributions: &[Contribution], sums: &mut PixelSums<'_>) {
         let mut occluded = vec![false; rays.len()];
         clip::occluded_rays(self.grid, self.clip.as_ref(), &mut rays, &mut occluded);
-        let come = contributions.iter().zip(occluded).filter(|(it, occluded)| it.comes_with_hit == *occluded);
-        come.for_each(|(it, _)| lights[it.pixel] += it.light);
+        for (&Contribution { pixel, light, comes_with_hit, shows_sun }, is_occluded) in
+            contributions.iter().zip(occluded)
+        {
+            if comes_with_hit == is_occluded {
+                sums.lights[pixel] += light;
+            }
+            let sight = sums.sight(pixel);
+            sight.n_rays += 1;
+            if shows_sun {
+                *if is_occluded { &mut sight.n_shaded } else { &mut sight.n_lit } += 1;
+            }
+        }
     }
 
     /// Traces paths to their next surfaces, and adds the light of these rays.
-    fn follow(&self, pending: Vec<Pending>, lights: &mut [Vec3]) -> Vec<Path> {
+    fn follow(&self, pending: Vec<Pending>, sums: &mut PixelSums<'_>) -> Vec<Path> {
         let ray = |Pending { path, .. }: &Pending| Ray::new(path.origin.as_vec3(), path.direction);
         let rays: Vec<_> = pending.iter().map(ray).collect();
         let mut hits = vec![Hit::MISS; rays.len()];
         clip::intersect_rays(self.grid, self.clip.as_ref(), &rays, &mut hits);
         let followed = pending.into_iter().zip(hits).filter_map(|(Pending { path, contribution }, hit)| {
             if contribution.comes_with_hit != hit.is_miss() {
-                lights[path.pixel] += contribution.light;
+                sums.lights[path.pixel] += contribution.light;
             }
+            sums.sight(path.pixel).n_rays += 1;
             (!hit.is_miss()).then_some(Path { hit, ..path })
         });
         followed.collect()

@@ -186,8 +186,7 @@ impl<'a> Sampler<'a> {
             let first = self.first_sample.wrapping_add(samples.start);
             self.trace(blocks, first, n);
             let Self { lighting, scratch, hits, directions, lights, .. } = self;
-            lighting.light_group(blocks, first, &directions[..n], &hits[..n], scratch, lights);
-            lights.iter().zip(hits).for_each(|(lights, hits)| lighting.add(blocks.len(), lights, hits, sums));
+            lighting.light_group(blocks, first, (&directions[..n], &hits[..n]), scratch, lights, sums);
             samples.start += n as u32;
         }
     }
@@ -296,6 +295,29 @@ mod tests {
         let [all, some] = ["0", "4"].map(|noise| check_divisions(&scene, &with(noise)));
         assert_ne!(all, some, "no pixel stops early");
         assert_eq!(all, check_divisions(&scene, &with("0.01")), "pixels stop for no reason");
+    }
+
+    #[test]
+    fn rays_to_the_sun_are_left_out_where_all_find_the_same_and_the_light_stays() {
+        let scene = Scene::build(statue::generate(3000, &|_| ()), &GridOptions::default(), &|_| ());
+        let camera = Camera::look_at(DVec3::new(0.6, 1.5, 2.5), DVec3::Y, DVec3::Y, 0.5, 2.0).unwrap();
+        let lights = |noise: &str| {
+            let samples = SampleRange { noise: noise.parse().unwrap(), ..SampleRange::all(0, 256) };
+            let spec = FrameSpec { camera, rays: LightingMode::Path, samples, ..spec(0, 1) };
+            let share = Division::Tiled.task(0, 1).share(spec.size).unwrap();
+            let (mut lights, mut n_rays, mut n_samples) = (vec![0.0; spec.size.n_samples() as usize], 0, 0);
+            scene.sum_lights(&spec, &share, 0..share.count(), |_, sums, (block, index), output_index| {
+                lights[output_index] = f64::from(sums.lights[block][index].y) / f64::from(sums.n_samples);
+                n_rays += sums.n_rays((block, index));
+                n_samples += sums.n_samples;
+            });
+            (lights, f64::from(n_rays) / f64::from(n_samples))
+        };
+        let ((all, rays_of_all), (some, rays_of_some)) = (lights("0"), lights("0.05"));
+        assert!(rays_of_some < 0.95 * rays_of_all, "{rays_of_some} rays a sample, {rays_of_all} when none is left out");
+        let differences = all.iter().zip(&some).map(|(all, some)| some - all);
+        let (sum, squares) = differences.fold((0.0, 0.0), |(sum, squares), it| (sum + it, squares + it * it));
+        assert!(squares > 0.0 && sum.abs() < 4.0 * f64::sqrt(squares), "{sum} of {}", f64::sqrt(squares));
     }
 
     #[test]

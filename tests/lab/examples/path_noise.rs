@@ -43,29 +43,30 @@ struct Args {
     /// Samples of each pixel of the reference
     #[arg(long, default_value_t = 1024)]
     reference: u32,
-
-    /// Rays of a path that meets the model; others are one ray each
-    #[arg(long, default_value_t = 3.4)]
-    rays_of_path: f64,
 }
 
-/// A picture's pixels: light as a display shows it in levels, linear light in thousandths, and the number of samples.
+/// A picture's pixels: light as a display shows it in levels, linear light in thousandths, the number of samples, and that of
+/// their rays.
 struct Picture {
-    pixels: Vec<([Vec3; 2], u32)>,
+    pixels: Vec<([Vec3; 2], [u32; 2])>,
     cpu_s: f64,
 }
 
-/// Of a picture: samples of a pixel, the same weighed by their rays, samples of a pixel that shows the model, and the errors.
+/// Of a picture: samples of a pixel, as many samples as take its rays if none is left out, samples of a pixel that shows the
+/// model, and the errors.
 struct Outcome {
     n_samples: [f64; 3],
     errors: [f64; 2],
 }
 
-/// The mean of independent pictures, and the squares of each pixel's deviations from it, summed over channels and pictures.
+/// The mean of independent pictures, the squares of each pixel's deviations from it, summed over channels and pictures, and the
+/// number of rays that samples take.
 #[derive(Default)]
 struct Reference {
     means: Vec<[Vec3; 2]>,
     squares: Vec<[f64; 2]>,
+    /// Of each pixel, for each of its samples.
+    rays: Vec<f64>,
     n_pictures: u32,
 }
 
@@ -86,7 +87,6 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let first = render(SampleRange::CENTRE).pixels;
     let is_seen: Vec<bool> = first.iter().zip(&reference.means).map(|((light, _), mean)| light != mean).collect();
     let n_seen = is_seen.iter().filter(|&&is_seen| is_seen).count() as f64;
-    let rays: Vec<f64> = is_seen.iter().map(|&is_seen| if is_seen { args.rays_of_path } else { 1.0 }).collect();
     let outcome = |Picture { pixels, .. }: &Picture| {
         let of_seen = pixels.iter().zip(&reference.means).zip(&is_seen).filter(|(_, is_seen)| **is_seen);
         let seen: Vec<_> = of_seen.map(|(pixel, _)| pixel).collect();
@@ -94,10 +94,11 @@ fn run(args: &Args) -> anyhow::Result<()> {
             let squares = seen.iter().map(|((light, _), mean)| f64::from((light[kind] - mean[kind]).length_squared()));
             (squares.sum::<f64>() / (3.0 * n_seen)).sqrt()
         };
-        let of_seen = seen.iter().map(|((_, n), _)| f64::from(*n)).sum::<f64>() / n_seen;
-        let of_all = pixels.iter().map(|&(_, n)| f64::from(n)).sum::<f64>() / pixels.len() as f64;
-        let of_rays = pixels.iter().zip(&rays).map(|(&(_, n), rays)| f64::from(n) * rays).sum::<f64>();
-        Outcome { n_samples: [of_all, of_rays / rays.iter().sum::<f64>(), of_seen], errors: [error(0), error(1)] }
+        let of_seen = seen.iter().map(|((_, [n, _]), _)| f64::from(*n)).sum::<f64>() / n_seen;
+        let of_all = pixels.iter().map(|&(_, [n, _])| f64::from(n)).sum::<f64>() / pixels.len() as f64;
+        let n_rays = pixels.iter().map(|&(_, [_, n_rays])| f64::from(n_rays)).sum::<f64>();
+        let of_rays = n_rays / reference.rays.iter().sum::<f64>();
+        Outcome { n_samples: [of_all, of_rays, of_seen], errors: [error(0), error(1)] }
     };
 
     println!("{:.1} % of the pixels show the model", 100.0 * n_seen / is_seen.len() as f64);
@@ -105,7 +106,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         println!("least parts of samples shown and of linear light, and of rays, for squares of so many pixels a side");
         for side in [1, 2, 4, 8] {
             let [[shown, shown_rays], [linear, linear_rays]] =
-                [0, 1].map(|kind| reference.least_parts(kind, side, spec.size, &rays));
+                [0, 1].map(|kind| reference.least_parts(kind, side, spec.size));
             println!("  {side:8} {shown:8.2} {linear:8.2} {shown_rays:8.2} {linear_rays:8.2}");
         }
     }
@@ -152,6 +153,10 @@ impl Reference {
         self.n_pictures += 1;
         self.means.resize(picture.pixels.len(), [Vec3::ZERO; 2]);
         self.squares.resize(picture.pixels.len(), [0.0; 2]);
+        self.rays.resize(picture.pixels.len(), 0.0);
+        for (rays, &(_, [n_samples, n_rays])) in self.rays.iter_mut().zip(&picture.pixels) {
+            *rays += (f64::from(n_rays) / f64::from(n_samples) - *rays) / f64::from(self.n_pictures);
+        }
         for ((mean, squares), (light, _)) in self.means.iter_mut().zip(&mut self.squares).zip(&picture.pixels) {
             for kind in 0..2 {
                 let difference = light[kind] - mean[kind];
@@ -163,10 +168,10 @@ impl Reference {
 
     /// The parts of a uniform picture's samples, and of its rays, that a picture of the same error takes, if the samples of each
     /// square of pixels are in proportion to its standard deviation.
-    fn least_parts(&self, kind: usize, side: u32, size: FrameSize, rays: &[f64]) -> [f64; 2] {
+    fn least_parts(&self, kind: usize, side: u32, size: FrameSize) -> [f64; 2] {
         let (columns, rows) = (size.xres().div_ceil(side), size.yres().div_ceil(side));
         let mut squares = vec![[0.0; 3]; (columns * rows) as usize];
-        for (at, (squared, rays)) in (0..).zip(self.squares.iter().zip(rays)) {
+        for (at, (squared, rays)) in (0..).zip(self.squares.iter().zip(&self.rays)) {
             let (i, j) = (at % size.xres(), at / size.xres());
             let of_square = &mut squares[(j / side * columns + i / side) as usize];
             [squared[kind], 1.0, *rays].iter().zip(of_square).for_each(|(it, sum)| *sum += it);
@@ -191,7 +196,8 @@ fn uniform_of(measured: &[Outcome], kind: usize, error: f64) -> f64 {
 fn render(scene: &Scene, spec: &FrameSpec) -> Picture {
     let of_pixel = |lighting: &Lighting<'_>, sums: &LightSums, (block, index): (usize, usize)| {
         let shown = Vec3::from_array(lighting.encode(sums, (block, index)).map(f32::from));
-        ([shown, sums.lights[block][index] * (1000.0 / sums.n_samples as f32)], sums.n_samples)
+        let linear = sums.lights[block][index] * (1000.0 / sums.n_samples as f32);
+        ([shown, linear], [sums.n_samples, sums.n_rays((block, index))])
     };
     let (pixels, cpu) = render_lights(scene, spec, of_pixel);
     Picture { pixels, cpu_s: cpu.as_secs_f64() }

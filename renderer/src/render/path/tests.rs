@@ -75,31 +75,64 @@ pub(super) fn lights(
     n_samples: u32,
     set: impl Fn(&mut PathTracer<'_>),
 ) -> Vec<(Hit, DVec3, DVec3)> {
+    lights_if_expected(None, scene, spec, n_samples, set).0
+}
+
+/// The same if all pixels' rays to the sun are expected to find this; and the number of rays.
+fn lights_if_expected(
+    expected: Option<Expected>,
+    scene: &Scene,
+    spec: &FrameSpec,
+    n_samples: u32,
+    set: impl Fn(&mut PathTracer<'_>),
+) -> (Vec<(Hit, DVec3, DVec3)>, u32) {
     let mut tracer = PathTracer::new(scene, spec, None);
     set(&mut tracer);
     let shader = Shader::new(scene.mesh(), spec, None);
     let rays = spec.camera.rays(spec.size);
-    let mut all = Vec::new();
+    let (mut all, mut n_rays) = (Vec::new(), 0);
     for (first_i, first_j) in (0..4).flat_map(|row| (0..8).map(move |column| (8 * column, 8 * row))) {
         let samples = SampleRect { columns: first_i..first_i + 8, rows: first_j..first_j + 8 };
         let mut directions = [Vec3::ZERO; 64];
         directions.iter_mut().zip(samples.iter()).for_each(|(to, (i, j))| *to = rays.direction(i, j));
         let hits = directions.map(|direction| scene.grid.intersect(&Ray::new(rays.eye, direction)));
         let blocks = [SampleBlock::Unit { samples, first_index: 0 }];
-        let mut sums = [[Vec3::ZERO; 64]];
+        let (mut lights, mut sights) = ([Vec3::ZERO; 64], [SunSight { expected, ..SunSight::default() }; 64]);
         for sample in 0..n_samples {
             let mut paths = Vec::new();
             let backdrops = [[Vec3::ZERO; 64]];
-            tracer.begin(&blocks, sample, (&[directions], [Vec3::ZERO; 2]), (&[hits], &backdrops), 0, &mut paths);
-            tracer.add_lights(&shader, paths, &mut sums[0]);
+            let rays = (&[directions][..], [Vec3::ZERO; 2]);
+            tracer.begin(&blocks, sample, rays, (&[hits], &backdrops), (0, &sights), &mut paths);
+            tracer.add_lights(&shader, paths, PixelSums { lights: &mut lights, sights: &mut sights });
         }
+        n_rays += sights.iter().map(|sight| sight.n_rays).sum::<u32>();
         all.extend((0..64).filter(|&at| !hits[at].is_miss()).map(|at| {
             let point = rays.eye.as_dvec3() + directions[at].as_dvec3() * f64::from(hits[at].t);
-            (hits[at], point, sums[0][at].as_dvec3() / f64::from(n_samples))
+            (hits[at], point, lights[at].as_dvec3() / f64::from(n_samples))
         }));
     }
     assert!(all.len() > 200, "{} hits", all.len());
-    all
+    (all, n_rays)
+}
+
+#[test]
+fn whatever_the_sun_rays_are_expected_to_find_the_mean_light_is_the_same() {
+    // The statue has lit and shaded sides, and edges of shadows.
+    let scene = build(statue::generate(3000, &|_| ()));
+    let spec = spec(DVec3::new(0.6, 1.5, 3.0), DVec3::Y * 1.4, 1);
+    let n_samples = 256;
+    let (truth, all_rays) = lights_if_expected(None, &scene, &spec, n_samples, |_| ());
+    for (is_shaded, traced_part) in [(false, 0.5), (true, 0.5), (false, 0.125), (true, 0.125), (true, 1.0)] {
+        let expected = Expected { is_shaded, traced_part };
+        let (lights, n_rays) = lights_if_expected(Some(expected), &scene, &spec, n_samples, |_| ());
+        let differences = lights.iter().zip(&truth).map(|((.., light), (.., truth))| light.x - truth.x);
+        let (sum, squares) = differences.fold((0.0, 0.0), |(sum, squares), it| (sum + it, squares + it * it));
+        let left_out = f64::from(all_rays - n_rays) / f64::from(n_samples * lights.len() as u32);
+        assert!(sum.abs() <= 4.0 * f64::sqrt(squares) + 1e-6, "{expected:?}: {sum} of {}", f64::sqrt(squares));
+        // Some surfaces face away from the sun, and send it no ray.
+        let most = f64::from(1.0 - traced_part);
+        assert!((0.4 * most..=most + 1e-3).contains(&left_out), "{expected:?}: {left_out} are left out");
+    }
 }
 
 /// Asserts that pixels differ from the truth by no more than `noise` of it (root of the mean square), and on average by no

@@ -148,9 +148,8 @@ impl Frame {
                             *direction = rays.direction(i, j);
                         }
                     }
-                    lighting.light_group(blocks, 0, &directions, &hits, &mut scratch, &mut lights);
                     let mut sums = lighting.no_light();
-                    lighting.add(blocks.len(), &lights[0], &hits[0], &mut sums);
+                    lighting.light_group(blocks, 0, (&directions, &hits), &mut scratch, &mut lights, &mut sums);
                     for (number, block) in blocks.iter().enumerate() {
                         let colors = part.values_of(block).iter_mut().take(block.n_samples());
                         colors.enumerate().for_each(|(index, color)| *color = lighting.encode(&sums, (number, index)));
