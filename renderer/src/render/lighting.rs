@@ -207,7 +207,7 @@ pub struct LightSums {
     pub lights: [[Vec3; 64]; MOST_PACKETS],
     /// Of the others in path-traced frames, and their number; empty in other frames.
     as_it_is: Vec<(Vec3, u32)>,
-    /// What the pixels' rays found of the sun; empty in frames without paths.
+    /// The pixels' sights of the sun; empty in frames without paths.
     pub(super) sights: Vec<SunSight>,
 }
 

@@ -109,11 +109,11 @@ pub(super) struct Path {
     weight: Vec3,
     /// The least density with which a direction of the path was chosen, for each steradian.
     density: f32,
-    /// What the next ray to the sun is expected to find.
+    /// The expected finding of the next ray to the sun.
     expected: Option<Expected>,
 }
 
-/// What paths find, by pixel.
+/// Sums of the light that paths bring, and sights of the sun, by pixel.
 pub(super) struct PixelSums<'a> {
     /// Of each sample: the samples follow each other, each with all pixels of a group of blocks.
     pub(super) lights: &'a mut [Vec3],

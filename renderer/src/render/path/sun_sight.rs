@@ -6,7 +6,7 @@
 //! by Russian roulette (Arvo and Kirk, "Particle Transport and Image Synthesis", 1990). So the mean light is right whatever is
 //! expected, as long as it is decided before; a wrong expectation only adds noise.
 
-/// What a pixel's rays have found of the sun, from the surfaces that its camera rays hit.
+/// A pixel's sight of the sun, from the surfaces that its camera rays hit, as its rays have found it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::render) struct SunSight {
     /// Number of rays that reached the sun.
@@ -15,11 +15,11 @@ pub(in crate::render) struct SunSight {
     pub(in crate::render) n_shaded: u32,
     /// Number of rays of all kinds that its paths traced.
     pub(in crate::render) n_rays: u32,
-    /// What further rays are expected to find.
+    /// The expected finding of further rays.
     pub(in crate::render) expected: Option<Expected>,
 }
 
-/// What a pixel's next rays to the sun are expected to find.
+/// The expected finding of a pixel's next rays to the sun.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::render) struct Expected {
     /// Whether they do not reach it.
