@@ -14,7 +14,12 @@ use crate::{
     },
     render::{
         blocks::SampleBlock,
-        path::{PathTracer, PixelSums, sun_sight::SunSight, tone::ToneMapping},
+        path::{
+            PathTracer,
+            pixel::{PixelPaths, PixelSums},
+            splitting::{MOST_PATHS, camera_ray},
+            tone::ToneMapping,
+        },
         sampling::sample_point,
         scene::Scene,
         secondary::SecondaryRays,
@@ -39,6 +44,8 @@ pub struct Lighting<'a> {
     /// Only in path-traced frames.
     paths: Option<(PathTracer<'a>, ToneMapping)>,
     eye: Vec3,
+    /// Number of the frame's first sample.
+    first_sample: u32,
     /// Change of a ray's direction across the width and the height of its part of a pixel, in model space.
     sample_sides: [Vec3; 2],
 }
@@ -56,20 +63,25 @@ impl<'a> Lighting<'a> {
         let is_path_traced = spec.view == ShadingMode::Shaded && spec.rays == LightingMode::Path;
         let paths =
             is_path_traced.then(|| (PathTracer::new(scene, spec, clip), ToneMapping::new(spec.appearance.path)));
-        Self { shading: spec.view, shader, secondary, paths, eye: rays.eye, sample_sides }
+        let first_sample = spec.samples.first;
+        Self { shading: spec.view, shader, secondary, paths, eye: rays.eye, first_sample, sample_sides }
     }
 
-    /// Number of samples of each pixel of `n_blocks` blocks that are lit at once, at least 1; the fewer blocks, the more.
+    /// Number of samples of each pixel of `n_blocks` blocks that are lit at once, at least 1; the fewer blocks, the more. Those that
+    /// share camera rays are lit together.
     pub(super) fn samples_at_once(&self, n_blocks: usize) -> u32 {
-        if self.paths.is_some() { (PATHS_AT_ONCE / (64 * n_blocks)) as u32 } else { 1 }
+        if self.paths.is_none() {
+            return 1;
+        }
+        let n_samples = (PATHS_AT_ONCE / (64 * n_blocks)) as u32;
+        n_samples - n_samples % MOST_PATHS
     }
 
-    /// Adds the linear light of several samples of neighbouring blocks to `sums`: of the first number and those after it, of the
-    /// blocks' pixels (i, j), whose rays follow `directions` to `hits`. What is in `lights` does not matter.
+    /// Adds the linear light of several samples of neighbouring blocks to `sums`, after those that it has: of the blocks' pixels
+    /// (i, j), whose rays follow `directions` to `hits`. What is in `lights` does not matter.
     pub fn light_group(
         &self,
         blocks: &[SampleBlock<'_>],
-        first_sample: u32,
         (directions, hits): (&[GroupOf<Vec3>], &[GroupOf<Hit>]),
         scratch: &mut PacketScratch,
         lights: &mut Vec<GroupOf<Vec3>>,
@@ -78,24 +90,31 @@ impl<'a> Lighting<'a> {
         lights.clear();
         lights.resize(hits.len(), [[Vec3::ZERO; 64]; MOST_PACKETS]);
         let rays = directions.iter().zip(hits).zip(&mut *lights);
-        let samples = (0..).map(|index| first_sample.wrapping_add(index)).zip(rays);
+        let samples = sums.n_samples..sums.n_samples + hits.len() as u32;
         if let Some((tracer, _)) = &self.paths {
             let mut paths = Vec::with_capacity(64 * blocks.len() * hits.len());
-            for (index, (sample, ((directions, hits), lights))) in samples.enumerate() {
+            for (index, (sample, ((directions, hits), lights))) in samples.clone().zip(rays).enumerate() {
                 let first = 64 * MOST_PACKETS * index;
                 for (index, block) in blocks.iter().enumerate() {
                     let points = block.samples().enumerate();
                     for (sample_idx, (i, j)) in points.filter(|&(at, _)| hits[index][at].is_miss()) {
-                        lights[index][sample_idx] = self.shader.backdrop(sample_point(i, j, sample).1);
+                        let pixel = &mut sums.pixels[64 * index + sample_idx];
+                        let (ray_number, _) = camera_ray(sample, pixel.n_paths);
+                        let (_, y) = sample_point(i, j, self.first_sample.wrapping_add(ray_number));
+                        let light = self.shader.backdrop(y);
+                        lights[index][sample_idx] = light;
+                        pixel.shared_light += light;
                     }
                 }
                 let rays = (directions.as_slice(), self.sample_sides);
-                tracer.begin(blocks, sample, rays, (hits, lights), (first, &sums.sights), &mut paths);
+                let samples = sample..samples.end;
+                tracer.begin(blocks, samples, rays, (hits, lights), (first, &mut sums.pixels), &mut paths);
             }
             let lights = lights.as_flattened_mut().as_flattened_mut();
-            tracer.add_lights(&self.shader, paths, PixelSums { lights, sights: &mut sums.sights });
+            tracer.add_lights(&self.shader, paths, PixelSums { lights, pixels: &mut sums.pixels });
         } else {
-            for (sample, ((directions, hits), lights)) in samples {
+            for (sample, ((directions, hits), lights)) in samples.zip(rays) {
+                let sample = self.first_sample.wrapping_add(sample);
                 self.light_sample(blocks, sample, directions, hits, scratch, lights);
             }
         }
@@ -152,7 +171,7 @@ impl<'a> Lighting<'a> {
             n_samples: 0,
             lights: [[Vec3::ZERO; 64]; MOST_PACKETS],
             as_it_is: vec![(Vec3::ZERO, 0); n_pixels],
-            sights: vec![SunSight::default(); n_pixels],
+            pixels: vec![PixelPaths::default(); n_pixels],
         }
     }
 
@@ -207,14 +226,20 @@ pub struct LightSums {
     pub lights: [[Vec3; 64]; MOST_PACKETS],
     /// Of the others in path-traced frames, and their number; empty in other frames.
     as_it_is: Vec<(Vec3, u32)>,
-    /// The pixels' sights of the sun; empty in frames without paths.
-    pub(super) sights: Vec<SunSight>,
+    /// What the pixels' paths have found; empty in frames without paths.
+    pub(super) pixels: Vec<PixelPaths>,
 }
 
 impl LightSums {
     /// Number of rays that the samples of pixel `index` of a block took, in path-traced frames.
     pub fn n_rays(&self, (block, index): (usize, usize)) -> u32 {
-        self.n_samples + self.sights.get(64 * block + index).map_or(0, |sight| sight.n_rays)
+        let paths = self.pixels.get(64 * block + index);
+        paths.map_or(self.n_samples, |paths| paths.n_camera_rays + paths.n_other_rays)
+    }
+
+    /// The light of a pixel's samples; and that part of it which those with the same camera ray share.
+    pub(super) fn light_of_parts(&self, place: usize) -> [Vec3; 2] {
+        [self.lights.as_flattened()[place] + self.as_it_is[place].0, self.pixels[place].shared_light]
     }
 
     /// The light of the samples that are not in `others`, which are the first of them.
@@ -227,6 +252,9 @@ impl LightSums {
             *light -= *other;
             *n -= n_other;
         }
+        for (paths, other) in rest.pixels.iter_mut().zip(&others.pixels) {
+            paths.shared_light -= other.shared_light;
+        }
         rest
     }
 
@@ -237,7 +265,7 @@ impl LightSums {
             picked.lights.as_flattened_mut()[to] = self.lights.as_flattened()[from];
             if !self.as_it_is.is_empty() {
                 picked.as_it_is[to] = self.as_it_is[from];
-                picked.sights[to] = self.sights[from];
+                picked.pixels[to] = self.pixels[from];
             }
         }
         picked

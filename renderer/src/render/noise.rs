@@ -5,7 +5,8 @@
 //! samples where their number is a power of two. A pixel whose few samples happen to agree must not stop too early, so the
 //! estimates of neighbours in its tile, and its earlier ones, count as well.
 //!
-//! Rays to the sun are left out where those of the neighbours in the tile all found the same: see [`Expected`].
+//! Rays to the sun are left out where those of the neighbours in the tile all found the same: see [`Expected`]. Paths share camera
+//! rays where these bring little of the noise: see [`splitting`].
 //!
 //! Samples that are proportional to the standard deviation of a pixel's light give a picture the least error; pixels of equal
 //! noise, as many as their variance asks for, are no better in that than equal numbers everywhere. So a pixel that needs many
@@ -22,7 +23,10 @@ use shared::{
 use crate::render::{
     blocks::{SampleBlock, for_each_group},
     lighting::{LightSums, Lighting},
-    path::sun_sight::Expected,
+    path::{
+        splitting::{self, MOST_PATHS},
+        sun_sight::Expected,
+    },
     tracer::Sampler,
 };
 
@@ -37,9 +41,9 @@ const N_STEPS: u32 = 4;
 /// The noise of a pixel is estimated from those of its tile that are at most so far away along each side.
 const REACH: usize = 2;
 
-/// The same for what its rays to the sun are expected to find. Edges of shadows are sharp, and half of the rays are traced next, so
-/// nine pixels say enough.
-const SUN_REACH: usize = 1;
+/// The same for what its rays to the sun are expected to find, and for how many paths share a camera ray. Edges are sharp, and wrong
+/// numbers only add noise, so nine pixels say enough.
+const NEAR_REACH: usize = 1;
 
 /// The limit of a frame whose pixels may stop early.
 pub(super) fn of_frame(spec: &FrameSpec) -> Option<NoiseLimit> {
@@ -105,6 +109,8 @@ fn sum_group(
     let mut pixels: Vec<_> = tiles.iter().enumerate().flat_map(of_tile).collect();
     let mut squared_noises = vec![[0.0; 64]; tiles.len()];
     let mut sun_rays = vec![[[0.0; 64]; 2]; tiles.len()];
+    let mut variances = sun_rays.clone();
+    let mut n_rays = sun_rays.clone();
     let mut sums = sampler.lighting.no_light();
     add(sampler, tiles, &pixels, FEWEST_SAMPLES / 2, &mut sums);
     let mut half = sums.clone();
@@ -118,19 +124,27 @@ fn sum_group(
             let squared = squared_noise(&sampler.lighting, halves, place);
             let known = &mut squared_noises[pixel.tile][pixel.index];
             *known = if n_samples == FEWEST_SAMPLES { squared } else { 0.5 * (*known + squared) };
-            let sight = &sums.sights[place];
-            let counts = [sight.n_lit, sight.n_shaded].into_iter().zip(&mut sun_rays[pixel.tile]);
-            counts.for_each(|(count, of_tile)| of_tile[pixel.index] = f64::from(count));
+            let paths = &sums.pixels[place];
+            let keep = |of_tiles: &mut [[[f64; 64]; 2]], values: [f64; 2]| {
+                let of_tile = &mut of_tiles[pixel.tile];
+                of_tile.iter_mut().zip(values).for_each(|(of_tile, value)| of_tile[pixel.index] = value);
+            };
+            keep(&mut sun_rays, [paths.sun.n_lit, paths.sun.n_shaded].map(f64::from));
+            keep(&mut variances, variances_of_parts(halves, place));
+            keep(&mut n_rays, paths.rays_of_parts(n_samples));
         }
-        for (Pixel { tile, index, end }, sight) in pixels.iter_mut().zip(&mut sums.sights) {
+        for (Pixel { tile, index, end }, paths) in pixels.iter_mut().zip(&mut sums.pixels) {
             let block = &tiles[*tile];
             let around = |of_tile: &[f64; 64], reach| {
                 mean_around(&of_tile[..block.n_samples()], block.row_length(), *index, reach)
             };
+            let near =
+                |of_tiles: &[[[f64; 64]; 2]]| of_tiles[*tile].each_ref().map(|of_tile| around(of_tile, NEAR_REACH));
             let steps = n_steps(around(&squared_noises[*tile], REACH), n_samples, limit);
             *end = steps.map_or(most, |steps| most.min(n_samples + steps * (n_samples / N_STEPS)));
-            let counts = sun_rays[*tile].each_ref().map(|of_tile| around(of_tile, SUN_REACH));
-            sight.expected = Expected::after(n_samples, counts);
+            paths.n_paths =
+                splitting::best_n_paths(near(&variances), near(&n_rays), MOST_PATHS.min(n_samples / N_STEPS));
+            paths.sun.expected = Expected::after(n_samples / paths.n_paths, near(&sun_rays));
         }
         half = sums.clone();
         // Add samples in steps, and put aside the pixels that have enough.
@@ -167,6 +181,15 @@ fn squared_noise(lighting: &Lighting<'_>, halves: [&LightSums; 2], place: usize)
     let [a, b] = halves.map(|sums| lighting.encode(sums, (place / 64, place % 64)));
     let differences = a.into_iter().zip(b).map(|(a, b)| i32::from(a) - i32::from(b));
     f64::from(differences.map(|difference| difference * difference).sum::<i32>()) / 12.0
+}
+
+/// The estimated variances of a pixel's samples, from two halves of them: of what comes with the camera's rays, and of what comes with
+/// their paths. In the light that they bring: both are of the same pixel.
+fn variances_of_parts(halves: [&LightSums; 2], place: usize) -> [f64; 2] {
+    let [[light_a, shared_a], [light_b, shared_b]] = halves.map(|half| half.light_of_parts(place));
+    let (shared, all) = (shared_b - shared_a, light_b - light_a);
+    let n_paths = halves[1].pixels[place].n_paths;
+    [shared.length_squared() / n_paths as f32, (all - shared).length_squared()].map(f64::from)
 }
 
 /// The mean of the numbers of a tile's pixels, row by row, that are at most `reach` away from one of them along each side.

@@ -8,20 +8,25 @@
 //! The paths of neighbouring pixels, and several of each, go from bounce to bounce together, so that hundreds of rays are traced
 //! in one call. Only + − × ÷ √ are used, in a fixed order for each path: every machine computes the same bits.
 //!
-//! `sobol` makes random numbers, `lights` are sun and sky, `sun_sight` leaves out rays to the sun, `lamp` lights rooms, `ground`
-//! catches shadows, `scattering` is what surfaces do to light, and `tone` makes it fit a display.
+//! `sobol` makes random numbers, `lights` are sun and sky, `lamp` lights rooms, `ground` catches shadows, `scattering` is what
+//! surfaces do to light, and `tone` makes it fit a display. `splitting` and `sun_sight` save rays; `pixel` keeps what a pixel's
+//! paths bring and find.
 
 mod ground;
 mod lamp;
 pub(super) mod lights;
+pub(super) mod pixel;
 mod scattering;
 #[cfg(test)]
 mod sky_tests;
 mod sobol;
+pub(super) mod splitting;
 pub(super) mod sun_sight;
 #[cfg(test)]
 mod tests;
 pub(super) mod tone;
+
+use std::ops::Range;
 
 use glam::{DVec3, Vec3};
 use shared::{appearance::ClipPlane, protocol::FrameSpec};
@@ -30,14 +35,16 @@ use self::{
     ground::Ground,
     lamp::Lamp,
     lights::{Sky, Sun},
+    pixel::{PixelPaths, PixelSums, Sharing},
     scattering::{ScatterSample, Scattering},
     sobol::PixelSample,
-    sun_sight::{Expected, SunSight},
+    splitting::camera_ray,
+    sun_sight::Expected,
 };
 use crate::{
     grid::Grid,
     intersect::{
-        MOST_PACKETS, clip,
+        clip,
         ray::{Hit, Ray},
     },
     render::{
@@ -92,13 +99,17 @@ pub(super) struct PathTracer<'a> {
     /// Only where the background shows shadows.
     ground: Option<Ground>,
     bounces: u8,
+    /// Number of the frame's first sample.
+    first_sample: u32,
 }
 
-/// A path that has hit a surface, or the ground.
+/// A path that has hit a surface, or the ground; paths that share a camera ray are one up to there.
 pub(super) struct Path {
-    /// Index of its sum of light.
-    pixel: usize,
+    sharing: Sharing,
+    /// Its sample; of paths that share a camera ray, the ray's.
     sample: PixelSample,
+    /// Number of its sample; of paths that share a camera ray, the first one's.
+    sample_number: u32,
     origin: DVec3,
     direction: Vec3,
     /// Change of the direction across the width and the height of what the ray stands for.
@@ -113,18 +124,27 @@ pub(super) struct Path {
     expected: Option<Expected>,
 }
 
-/// Sums of the light that paths bring, and sights of the sun, by pixel.
-pub(super) struct PixelSums<'a> {
-    /// Of each sample: the samples follow each other, each with all pixels of a group of blocks.
-    pub(super) lights: &'a mut [Vec3],
-    /// Of all samples.
-    pub(super) sights: &'a mut [SunSight],
-}
+impl Path {
+    fn is_on_ground(&self) -> bool {
+        self.hit.is_miss()
+    }
 
-impl PixelSums<'_> {
-    /// The sight of the pixel whose light has this index.
-    fn sight(&mut self, pixel: usize) -> &mut SunSight {
-        &mut self.sights[pixel % (64 * MOST_PACKETS)]
+    /// What a ray from its surface brings, that takes light from there.
+    fn brings(&self, light: Vec3) -> Contribution {
+        let light = self.weight * light;
+        Contribution {
+            sharing: self.sharing,
+            light: if self.is_on_ground() { -light } else { light },
+            comes_with_hit: self.is_on_ground(),
+            shows_sun: false,
+        }
+    }
+
+    /// The path with this number among those that share a camera ray.
+    fn alone(&self, number: u32) -> Self {
+        let sample_number = self.sample_number.wrapping_add(number);
+        let sample = self.sample.with_number(sample_number);
+        Self { sharing: self.sharing.alone(number), sample, sample_number, ..*self }
     }
 }
 
@@ -139,7 +159,8 @@ fn least_roughness(density: f32) -> f32 {
 /// The light that a ray brings to a pixel.
 #[derive(Clone, Copy)]
 struct Contribution {
-    pixel: usize,
+    /// The paths that it comes to.
+    sharing: Sharing,
     light: Vec3,
     /// Whether it comes where the ray hits something, as the light that the ground loses there, rather than where it hits nothing.
     comes_with_hit: bool,
@@ -202,10 +223,10 @@ impl NextRays {
         (Expected { is_shaded, traced_part }, random): (Expected, f32),
         sums: &mut PixelSums<'_>,
     ) {
-        let Contribution { pixel, light, comes_with_hit, .. } = contribution;
+        let Contribution { sharing, light, comes_with_hit, .. } = contribution;
         let is_expected_to_come = comes_with_hit == is_shaded;
         if is_expected_to_come {
-            sums.lights[pixel] += light;
+            sums.add(sharing, light);
         }
         if random >= traced_part {
             return;
@@ -243,23 +264,32 @@ impl<'a> PathTracer<'a> {
             sky_map,
             ground: ground.flatten(),
             bounces: light.bounces(),
+            first_sample: spec.samples.first,
         }
     }
 
-    /// Begins the paths of sample number `sample` of neighbouring blocks' pixels, whose rays follow `directions` from the eye
-    /// to `hits`; `sides` are the changes of direction across a sample. Misses begin none, unless they meet the ground before
-    /// their `backdrops`. `first` is the index of the first pixel's sum of light; `sights` are what was seen of the sun.
+    /// Begins the paths of the first of some of a frame's samples, and those of the others that share their camera rays, of
+    /// neighbouring blocks' pixels; the rays follow `directions` from the eye to `hits`, and `sides` are the changes of direction
+    /// across a sample. Misses begin none, unless they meet the ground before their `backdrops`. `first` is the index of the first
+    /// pixel's sum of light.
     pub(super) fn begin(
         &self,
         blocks: &[SampleBlock<'_>],
-        sample: u32,
+        samples: Range<u32>,
         (directions, sides): (&[[Vec3; 64]], [Vec3; 2]),
         (hits, backdrops): (&[[Hit; 64]], &[[Vec3; 64]]),
-        (first, sights): (usize, &[SunSight]),
+        (first, pixels): (usize, &mut [PixelPaths]),
         paths: &mut Vec<Path>,
     ) {
         for (index, block) in blocks.iter().enumerate() {
             for (sample_idx, pixel) in block.samples().enumerate() {
+                let place = 64 * index + sample_idx;
+                let found = &mut pixels[place];
+                let (ray_number, path_number) = camera_ray(samples.start, found.n_paths);
+                if path_number > 0 {
+                    continue;
+                }
+                found.n_camera_rays += 1;
                 let (direction, hit) = (directions[index][sample_idx], hits[index][sample_idx]);
                 let ground = self.ground.as_ref().filter(|_| hit.is_miss());
                 let weight = match ground.filter(|ground| ground.point(self.eye, direction).is_some()) {
@@ -267,17 +297,18 @@ impl<'a> PathTracer<'a> {
                     None if hit.is_miss() => continue,
                     None => Vec3::ONE,
                 };
-                let place = 64 * index + sample_idx;
+                let n_paths = found.n_paths.min(samples.len() as u32);
                 paths.push(Path {
-                    pixel: first + place,
-                    sample: PixelSample::new(pixel, sample),
+                    sharing: Sharing { first: first + place, n_paths, is_direct: true },
+                    sample: PixelSample::new(pixel, self.first_sample.wrapping_add(ray_number)),
+                    sample_number: self.first_sample.wrapping_add(samples.start),
                     origin: self.eye,
                     direction,
                     sides,
                     hit,
                     weight,
                     density: f32::INFINITY,
-                    expected: sights[place].expected,
+                    expected: found.sun.expected,
                 });
             }
         }
@@ -312,8 +343,8 @@ impl<'a> PathTracer<'a> {
                 }
                 let surface = batch.surfaces[index].unwrap_or_else(|| shader.cap(path.direction));
                 let Some(lifted) = self.lift.point(path.origin, path.direction, path.hit) else { continue };
-                let (material, light) = (batch.materials[index].as_ref(), &mut sums.lights[path.pixel]);
-                let Some(scattering) = Self::scattering(path, &surface, material, light) else { continue };
+                let material = batch.materials[index].as_ref();
+                let Some(scattering) = Self::scattering(path, &surface, material, sums) else { continue };
                 self.scatter(path, &lifted, &scattering, bounce, &mut next, sums);
             }
         }
@@ -322,7 +353,7 @@ impl<'a> PathTracer<'a> {
         self.follow(pending, sums)
     }
 
-    /// Sends rays to the lights from a surface that a path has hit, and one to the path's next surface.
+    /// Sends rays to the lights from a surface that a path has hit, and one to each path's next surface.
     #[inline(always)]
     fn scatter(
         &self,
@@ -333,32 +364,33 @@ impl<'a> PathTracer<'a> {
         rays: &mut NextRays,
         sums: &mut PixelSums<'_>,
     ) {
-        let (is_on_ground, is_last) = (path.hit.is_miss(), bounce == self.bounces);
-        let brings = |light: Vec3| Contribution {
-            pixel: path.pixel,
-            light: if is_on_ground { -light } else { light },
-            comes_with_hit: is_on_ground,
-            shows_sun: false,
-        };
         let random = |number: u32| path.sample.pair(DIMENSIONS * u32::from(bounce) + number);
-        let [choice, roulette] = random(1);
         let (direction, of_sun) = self.sun_light(scattering, random(0));
         let to_sun = (lifted.point, direction, f32::MAX);
-        let sunlight = Contribution { shows_sun: bounce == 0, ..brings(path.weight * of_sun) };
+        let sunlight = Contribution { shows_sun: bounce == 0, ..path.brings(of_sun) };
         match path.expected {
             // No path ends at its first surface, so the number is free there.
-            Some(expected) => rays.push_expected_ray(to_sun, sunlight, (expected, roulette), sums),
+            Some(expected) => rays.push_expected_ray(to_sun, sunlight, (expected, random(1)[1]), sums),
             None => rays.push_shadow_ray(to_sun, sunlight),
         }
         // The lamp shows the model alone.
-        if let Some(lamp) = self.lamp.as_ref().filter(|_| !is_on_ground) {
+        if let Some(lamp) = self.lamp.as_ref().filter(|_| !path.is_on_ground()) {
             let (to_lamp, light) = lamp.toward(lifted.point);
             let (part, _) = scattering.toward(normalize_or_zero(to_lamp));
             let ray = (lifted.point, normalize_or_zero(to_lamp), to_lamp.length() as f32);
-            rays.push_shadow_ray(ray, brings(path.weight * part * light));
+            rays.push_shadow_ray(ray, path.brings(part * light));
         }
+        for number in 0..path.sharing.n_paths {
+            self.follow_on(&path.alone(number), lifted, scattering, bounce, rays);
+        }
+    }
 
-        // The path's next ray; the less light it brings, the more often it ends (Russian roulette).
+    /// Sends a ray to a path's next surface; the less light it brings, the more often the path ends (Russian roulette).
+    #[inline(always)]
+    fn follow_on(&self, path: &Path, lifted: &LiftedPoint, scattering: &Scattering, bounce: u8, rays: &mut NextRays) {
+        let is_last = bounce == self.bounces;
+        let random = |number: u32| path.sample.pair(DIMENSIONS * u32::from(bounce) + number);
+        let [choice, roulette] = random(1);
         let Some(next) = scattering.sample(choice, random(2)) else { return };
         let ScatterSample { direction, is_diffuse, density, .. } = next;
         let weight = path.weight * next.weight;
@@ -367,8 +399,8 @@ impl<'a> PathTracer<'a> {
         if roulette >= survival {
             return;
         }
-        let weight = weight * (1.0 / survival);
-        let escaped = brings(weight * self.escaped(direction, density));
+        let path = Path { weight: weight * (1.0 / survival), ..*path };
+        let escaped = path.brings(self.escaped(direction, density));
         if is_last {
             rays.push_shadow_ray((lifted.point, direction, f32::MAX), escaped);
             return;
@@ -380,10 +412,9 @@ impl<'a> PathTracer<'a> {
                 origin: lifted.point.as_vec3().as_dvec3(),
                 direction,
                 sides: tangent_basis(direction).map(|side| side * width),
-                weight,
                 density: path.density.min(density),
                 expected: None,
-                ..*path
+                ..path
             },
             contribution: escaped,
         });
@@ -395,13 +426,13 @@ impl<'a> PathTracer<'a> {
         path: &Path,
         surface: &Surface,
         material: Option<&PointMaterial>,
-        light: &mut Vec3,
+        sums: &mut PixelSums<'_>,
     ) -> Option<Scattering> {
         let Some(&PointMaterial { finish, emissive }) = material else { return Some(Scattering::matte(surface)) };
-        *light += path.weight * emissive;
+        sums.add(path.sharing, path.weight * emissive);
         match finish {
             Finish::Unlit => {
-                *light += path.weight * surface.color;
+                sums.add(path.sharing, path.weight * surface.color);
                 None
             }
             Finish::Matte => Some(Scattering::matte(surface)),
@@ -435,16 +466,16 @@ impl<'a> PathTracer<'a> {
     fn cast_shadows(&self, mut rays: Vec<Ray>, contributions: &[Contribution], sums: &mut PixelSums<'_>) {
         let mut occluded = vec![false; rays.len()];
         clip::occluded_rays(self.grid, self.clip.as_ref(), &mut rays, &mut occluded);
-        for (&Contribution { pixel, light, comes_with_hit, shows_sun }, is_occluded) in
+        for (&Contribution { sharing, light, comes_with_hit, shows_sun }, is_occluded) in
             contributions.iter().zip(occluded)
         {
             if comes_with_hit == is_occluded {
-                sums.lights[pixel] += light;
+                sums.add(sharing, light);
             }
-            let sight = sums.sight(pixel);
-            sight.n_rays += 1;
+            let PixelPaths { sun, n_other_rays, .. } = sums.paths(sharing);
+            *n_other_rays += 1;
             if shows_sun {
-                *if is_occluded { &mut sight.n_shaded } else { &mut sight.n_lit } += 1;
+                *if is_occluded { &mut sun.n_shaded } else { &mut sun.n_lit } += 1;
             }
         }
     }
@@ -457,9 +488,9 @@ impl<'a> PathTracer<'a> {
         clip::intersect_rays(self.grid, self.clip.as_ref(), &rays, &mut hits);
         let followed = pending.into_iter().zip(hits).filter_map(|(Pending { path, contribution }, hit)| {
             if contribution.comes_with_hit != hit.is_miss() {
-                sums.lights[path.pixel] += contribution.light;
+                sums.add(path.sharing, contribution.light);
             }
-            sums.sight(path.pixel).n_rays += 1;
+            sums.paths(path.sharing).n_other_rays += 1;
             (!hit.is_miss()).then_some(Path { hit, ..path })
         });
         followed.collect()

@@ -35,6 +35,11 @@ impl PixelSample {
         Self { seed, place, reversed: sample.reverse_bits() }
     }
 
+    /// Another sample of the pixel.
+    pub(super) fn with_number(self, sample: u32) -> Self {
+        Self { reversed: sample.reverse_bits(), ..self }
+    }
+
     /// A point of the unit square, 1 excluded. Points of equal `dimension` fill it evenly over the samples of a pixel, and
     /// over those of neighbouring pixels of a tile; those of others are independent.
     pub(super) fn pair(self, dimension: u32) -> [f32; 2] {

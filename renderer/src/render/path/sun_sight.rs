@@ -13,8 +13,6 @@ pub(in crate::render) struct SunSight {
     pub(in crate::render) n_lit: u32,
     /// Number of rays that did not.
     pub(in crate::render) n_shaded: u32,
-    /// Number of rays of all kinds that its paths traced.
-    pub(in crate::render) n_rays: u32,
     /// The expected finding of further rays.
     pub(in crate::render) expected: Option<Expected>,
 }
@@ -39,12 +37,12 @@ const LEAST_TRACED_PART: f32 = 0.0625;
 const AGREEING: f64 = 256.0;
 
 impl Expected {
-    /// What is expected after `n_samples` samples of each pixel of a neighbourhood, of whose traced rays so many reached the sun,
-    /// and so many did not. `None` if they disagree.
-    pub(in crate::render) fn after(n_samples: u32, [n_lit, n_shaded]: [f64; 2]) -> Option<Self> {
+    /// What the next `n_rays` rays of a pixel are expected to find after the rays of its neighbourhood, of which so many reached the
+    /// sun, and so many did not. `None` if they disagree.
+    pub(in crate::render) fn after(n_rays: u32, [n_lit, n_shaded]: [f64; 2]) -> Option<Self> {
         let is_shaded = n_shaded > n_lit;
         let agree = n_lit.min(n_shaded) * AGREEING <= n_lit + n_shaded && n_lit + n_shaded > 0.0;
-        let traced_part = (FEWEST_TRACED / n_samples as f32).clamp(LEAST_TRACED_PART, 1.0);
+        let traced_part = (FEWEST_TRACED / n_rays as f32).clamp(LEAST_TRACED_PART, 1.0);
         agree.then_some(Self { is_shaded, traced_part })
     }
 }
@@ -55,8 +53,8 @@ mod tests {
 
     #[test]
     fn rays_are_expected_to_find_what_all_of_the_neighbourhood_found() {
-        let shaded = |n_samples, counts| {
-            Expected::after(n_samples, counts).map(|Expected { is_shaded, traced_part }| (is_shaded, traced_part))
+        let shaded = |n_rays, counts| {
+            Expected::after(n_rays, counts).map(|Expected { is_shaded, traced_part }| (is_shaded, traced_part))
         };
         assert_eq!(shaded(8, [200.0, 0.0]), Some((false, 0.5)));
         assert_eq!(shaded(16, [0.0, 3.0]), Some((true, 0.25)));

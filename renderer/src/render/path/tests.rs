@@ -12,7 +12,7 @@ use shared::{
     scene::SceneId,
 };
 
-use super::*;
+use super::{splitting::MOST_PATHS, sun_sight::SunSight, *};
 use crate::{
     grid::GridOptions,
     model::{
@@ -75,12 +75,12 @@ pub(super) fn lights(
     n_samples: u32,
     set: impl Fn(&mut PathTracer<'_>),
 ) -> Vec<(Hit, DVec3, DVec3)> {
-    lights_if_expected(None, scene, spec, n_samples, set).0
+    lights_of(PixelPaths::default(), scene, spec, n_samples, set).0
 }
 
-/// The same if all pixels' rays to the sun are expected to find this; and the number of rays.
-fn lights_if_expected(
-    expected: Option<Expected>,
+/// The same if all pixels' paths are traced like this; and the number of rays.
+fn lights_of(
+    paths_of_all: PixelPaths,
     scene: &Scene,
     spec: &FrameSpec,
     n_samples: u32,
@@ -97,18 +97,22 @@ fn lights_if_expected(
         directions.iter_mut().zip(samples.iter()).for_each(|(to, (i, j))| *to = rays.direction(i, j));
         let hits = directions.map(|direction| scene.grid.intersect(&Ray::new(rays.eye, direction)));
         let blocks = [SampleBlock::Unit { samples, first_index: 0 }];
-        let (mut lights, mut sights) = ([Vec3::ZERO; 64], [SunSight { expected, ..SunSight::default() }; 64]);
-        for sample in 0..n_samples {
-            let mut paths = Vec::new();
-            let backdrops = [[Vec3::ZERO; 64]];
-            let rays = (&[directions][..], [Vec3::ZERO; 2]);
-            tracer.begin(&blocks, sample, rays, (&[hits], &backdrops), (0, &sights), &mut paths);
-            tracer.add_lights(&shader, paths, PixelSums { lights: &mut lights, sights: &mut sights });
+        let mut pixels = [paths_of_all; 64];
+        let (mut sums, n_at_once) = ([Vec3::ZERO; 64], n_samples.min(MOST_PATHS));
+        for start in (n_samples..2 * n_samples).step_by(n_at_once as usize) {
+            let (mut paths, mut lights) = (Vec::new(), vec![Vec3::ZERO; 256 * n_at_once as usize]);
+            for (first, sample) in (0..).step_by(256).zip(start..start + n_at_once) {
+                let (rays, samples) = ((&[directions][..], [Vec3::ZERO; 2]), sample..start + n_at_once);
+                let hits = (&[hits][..], &[[Vec3::ZERO; 64]][..]);
+                tracer.begin(&blocks, samples, rays, hits, (first, &mut pixels), &mut paths);
+            }
+            tracer.add_lights(&shader, paths, PixelSums { lights: &mut lights, pixels: &mut pixels });
+            lights.iter().zip((0..256).cycle()).filter(|(_, at)| *at < 64).for_each(|(light, at)| sums[at] += *light);
         }
-        n_rays += sights.iter().map(|sight| sight.n_rays).sum::<u32>();
+        n_rays += pixels.iter().map(|pixel| pixel.n_camera_rays + pixel.n_other_rays).sum::<u32>();
         all.extend((0..64).filter(|&at| !hits[at].is_miss()).map(|at| {
             let point = rays.eye.as_dvec3() + directions[at].as_dvec3() * f64::from(hits[at].t);
-            (hits[at], point, lights[at].as_dvec3() / f64::from(n_samples))
+            (hits[at], point, sums[at].as_dvec3() / f64::from(n_samples))
         }));
     }
     assert!(all.len() > 200, "{} hits", all.len());
@@ -121,18 +125,43 @@ fn whatever_the_sun_rays_are_expected_to_find_the_mean_light_is_the_same() {
     let scene = build(statue::generate(3000, &|_| ()));
     let spec = spec(DVec3::new(0.6, 1.5, 3.0), DVec3::Y * 1.4, 1);
     let n_samples = 256;
-    let (truth, all_rays) = lights_if_expected(None, &scene, &spec, n_samples, |_| ());
+    let (truth, all_rays) = lights_of(PixelPaths::default(), &scene, &spec, n_samples, |_| ());
     for (is_shaded, traced_part) in [(false, 0.5), (true, 0.5), (false, 0.125), (true, 0.125), (true, 1.0)] {
         let expected = Expected { is_shaded, traced_part };
-        let (lights, n_rays) = lights_if_expected(Some(expected), &scene, &spec, n_samples, |_| ());
-        let differences = lights.iter().zip(&truth).map(|((.., light), (.., truth))| light.x - truth.x);
-        let (sum, squares) = differences.fold((0.0, 0.0), |(sum, squares), it| (sum + it, squares + it * it));
+        let sun = SunSight { expected: Some(expected), ..SunSight::default() };
+        let paths = PixelPaths { sun, ..PixelPaths::default() };
+        let (lights, n_rays) = lights_of(paths, &scene, &spec, n_samples, |_| ());
+        let (sum, squares) = differences(&lights, &truth);
         let left_out = f64::from(all_rays - n_rays) / f64::from(n_samples * lights.len() as u32);
         assert!(sum.abs() <= 4.0 * f64::sqrt(squares) + 1e-6, "{expected:?}: {sum} of {}", f64::sqrt(squares));
         // Some surfaces face away from the sun, and send it no ray.
         let most = f64::from(1.0 - traced_part);
         assert!((0.4 * most..=most + 1e-3).contains(&left_out), "{expected:?}: {left_out} are left out");
     }
+}
+
+#[test]
+fn however_many_paths_share_a_camera_ray_the_mean_light_is_the_same() {
+    let scene = build(statue::generate(3000, &|_| ()));
+    let spec = spec(DVec3::new(0.6, 1.5, 3.0), DVec3::Y * 1.4, 1);
+    let n_samples = 256;
+    let (truth, all_rays) = lights_of(PixelPaths::default(), &scene, &spec, n_samples, |_| ());
+    for n_paths in [2, 4] {
+        let paths = PixelPaths { n_paths, ..PixelPaths::default() };
+        let (lights, n_rays) = lights_of(paths, &scene, &spec, n_samples, |_| ());
+        let (sum, squares) = differences(&lights, &truth);
+        assert!(sum != 0.0 && sum.abs() <= 4.0 * f64::sqrt(squares), "{n_paths}: {sum} of {}", f64::sqrt(squares));
+        // Of the pixels that show the model, and of the others.
+        let shared = f64::from(all_rays - n_rays) / (1.0 - 1.0 / f64::from(n_paths)) / f64::from(n_samples);
+        let n = lights.len() as f64;
+        assert!((2048.0 + 0.4 * n..=2048.0 + n).contains(&shared), "{n_paths}: {shared} camera and sun rays, {n} hits");
+    }
+}
+
+/// The sum of the differences of pixels' light, and that of their squares.
+fn differences(some: &[(Hit, DVec3, DVec3)], others: &[(Hit, DVec3, DVec3)]) -> (f64, f64) {
+    let differences = some.iter().zip(others).map(|((.., a), (.., b))| a.x - b.x);
+    differences.fold((0.0, 0.0), |(sum, squares), it| (sum + it, squares + it * it))
 }
 
 /// Asserts that pixels differ from the truth by no more than `noise` of it (root of the mean square), and on average by no

@@ -149,7 +149,7 @@ impl Frame {
                         }
                     }
                     let mut sums = lighting.no_light();
-                    lighting.light_group(blocks, 0, (&directions, &hits), &mut scratch, &mut lights, &mut sums);
+                    lighting.light_group(blocks, (&directions, &hits), &mut scratch, &mut lights, &mut sums);
                     for (number, block) in blocks.iter().enumerate() {
                         let colors = part.values_of(block).iter_mut().take(block.n_samples());
                         colors.enumerate().for_each(|(index, color)| *color = lighting.encode(&sums, (number, index)));

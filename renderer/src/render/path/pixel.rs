@@ -1,0 +1,80 @@
+//! What the paths of a pixel bring and find, and how its next are traced.
+
+use glam::Vec3;
+
+use crate::{intersect::MOST_PACKETS, render::path::sun_sight::SunSight};
+
+/// Pixels of a group of blocks: so many sums lie between those of a sample and of the next.
+const PIXELS: usize = 64 * MOST_PACKETS;
+
+/// What the paths of a pixel have found, and how its next are traced.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::render) struct PixelPaths {
+    /// The sight of the sun from the surfaces that its camera rays hit.
+    pub(in crate::render) sun: SunSight,
+    /// Sum of the light that paths with the same camera ray share: the background's, and what the ray's surface gives off, or
+    /// scatters from sun and lamp.
+    pub(in crate::render) shared_light: Vec3,
+    /// Number of paths that share each of the next camera rays.
+    pub(in crate::render) n_paths: u32,
+    pub(in crate::render) n_camera_rays: u32,
+    /// Number of all other rays.
+    pub(in crate::render) n_other_rays: u32,
+}
+
+impl Default for PixelPaths {
+    fn default() -> Self {
+        let (sun, shared_light) = (SunSight::default(), Vec3::ZERO);
+        Self { sun, shared_light, n_paths: 1, n_camera_rays: 0, n_other_rays: 0 }
+    }
+}
+
+impl PixelPaths {
+    /// Number of rays that each camera ray takes with what its paths share, and number that each of `n_samples` paths takes alone.
+    pub(in crate::render) fn rays_of_parts(&self, n_samples: u32) -> [f64; 2] {
+        let n_sun_rays = self.sun.n_lit + self.sun.n_shaded;
+        let of_camera = 1.0 + f64::from(n_sun_rays) / f64::from(self.n_camera_rays);
+        [of_camera, f64::from(self.n_other_rays - n_sun_rays) / f64::from(n_samples)]
+    }
+}
+
+/// Paths that share light: the first one's index among the sums of light, and their number. Their samples follow each other.
+#[derive(Clone, Copy)]
+pub(super) struct Sharing {
+    pub(super) first: usize,
+    pub(super) n_paths: u32,
+    /// Whether they share it because they have the same camera ray.
+    pub(super) is_direct: bool,
+}
+
+impl Sharing {
+    /// The path with this number among them, alone.
+    pub(super) fn alone(self, number: u32) -> Self {
+        Self { first: self.first + PIXELS * number as usize, n_paths: 1, is_direct: false }
+    }
+}
+
+/// Sums of the light that paths bring, and what they have found, by pixel.
+pub(in crate::render) struct PixelSums<'a> {
+    /// Of each sample: the samples follow each other, each with all pixels of a group of blocks.
+    pub(in crate::render) lights: &'a mut [Vec3],
+    /// Of all samples.
+    pub(in crate::render) pixels: &'a mut [PixelPaths],
+}
+
+impl PixelSums<'_> {
+    /// What the paths of the pixel of these have found.
+    pub(super) fn paths(&mut self, sharing: Sharing) -> &mut PixelPaths {
+        &mut self.pixels[sharing.first % PIXELS]
+    }
+
+    /// Adds light to each of these paths.
+    pub(super) fn add(&mut self, sharing: Sharing, light: Vec3) {
+        for path in 0..sharing.n_paths {
+            self.lights[sharing.alone(path).first] += light;
+        }
+        if sharing.is_direct {
+            self.paths(sharing).shared_light += light * sharing.n_paths as f32;
+        }
+    }
+}
