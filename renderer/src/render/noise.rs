@@ -133,6 +133,7 @@ fn sum_group(
             keep(&mut variances, variances_of_parts(halves, place));
             keep(&mut n_rays, paths.rays_of_parts(n_samples));
         }
+        half = sums.clone();
         for (Pixel { tile, index, end }, paths) in pixels.iter_mut().zip(&mut sums.pixels) {
             let block = &tiles[*tile];
             let around = |of_tile: &[f64; 64], reach| {
@@ -146,7 +147,6 @@ fn sum_group(
                 splitting::best_n_paths(near(&variances), near(&n_rays), MOST_PATHS.min(n_samples / N_STEPS));
             paths.sun.expected = Expected::after(n_samples / paths.n_paths, near(&sun_rays));
         }
-        half = sums.clone();
         // Add samples in steps, and put aside the pixels that have enough.
         for step in 0..=N_STEPS {
             let end = (n_samples + step * (n_samples / N_STEPS)).min(most);
@@ -188,8 +188,9 @@ fn squared_noise(lighting: &Lighting<'_>, halves: [&LightSums; 2], place: usize)
 fn variances_of_parts(halves: [&LightSums; 2], place: usize) -> [f64; 2] {
     let [[light_a, shared_a], [light_b, shared_b]] = halves.map(|half| half.light_of_parts(place));
     let (shared, all) = (shared_b - shared_a, light_b - light_a);
-    let n_paths = halves[1].pixels[place].n_paths;
-    [shared.length_squared() / n_paths as f32, (all - shared).length_squared()].map(f64::from)
+    // Fewer camera rays bring more of their noise.
+    let n_paths = halves.map(|half| half.pixels[place].n_paths as f32);
+    [shared.length_squared() / (n_paths[0] + n_paths[1]), (all - shared).length_squared() / 2.0].map(f64::from)
 }
 
 /// The mean of the numbers of a tile's pixels, row by row, that are at most `reach` away from one of them along each side.
