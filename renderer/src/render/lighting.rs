@@ -67,8 +67,8 @@ impl<'a> Lighting<'a> {
         Self { shading: spec.view, shader, secondary, paths, eye: rays.eye, first_sample, sample_sides }
     }
 
-    /// Number of samples of each pixel of `n_blocks` blocks that are lit at once, at least 1; the fewer blocks, the more. Those that
-    /// share camera rays are lit together.
+    /// Number of samples of each pixel of `n_blocks` blocks that are lit at once, at least 1; the fewer blocks, the more. Samples
+    /// that share camera rays are lit together.
     pub(super) fn samples_at_once(&self, n_blocks: usize) -> u32 {
         if self.paths.is_none() {
             return 1;

@@ -129,7 +129,7 @@ impl Path {
         self.hit.is_miss()
     }
 
-    /// What a ray from its surface brings, that takes light from there.
+    /// What a ray brings from where it finds this light to its surface, and on to the eye.
     fn brings(&self, light: Vec3) -> Contribution {
         let light = self.weight * light;
         Contribution {

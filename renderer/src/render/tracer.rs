@@ -191,7 +191,8 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Traces the camera's rays of samples of the pixels of neighbouring blocks. Those that share a ray have the hit of the first.
+    /// Traces the camera's rays of samples of the pixels of neighbouring blocks. Samples that share a ray have the hit of their
+    /// first.
     fn trace(&mut self, blocks: &[SampleBlock<'_>], samples: Range<u32>, pixels: &[PixelPaths]) {
         let Self { scene, rays, clip, first_sample, scratch, hits, directions, .. } = self;
         if hits.len() < samples.len() {
@@ -222,8 +223,8 @@ impl<'a> Sampler<'a> {
     }
 }
 
-/// Replaces the rays of a packet through sample number `sample` of a frame's by those that paths share, and makes those inactive that
-/// an earlier sample has traced.
+/// Sets the rays of a packet to those that paths share at this sample, whose number counts from the frame's first, and makes
+/// those inactive that an earlier sample has traced.
 fn share_camera_rays(
     packet: &mut Packet,
     rays: &CameraRays,

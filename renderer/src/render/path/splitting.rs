@@ -1,26 +1,26 @@
 //! Several paths share a camera ray, the surface that it finds, and its ray to the sun: splitting.
 //!
-//! Where the surfaces of a pixel are lit alike, its noise comes from the directions of its paths, and more camera rays would hardly
-//! lessen it. Arvo and Kirk, "Particle Transport and Image Synthesis" (1990).
+//! Where the surfaces of a pixel are lit alike, its noise comes from the directions of its paths, and more camera rays would
+//! hardly lessen it. Arvo and Kirk, "Particle Transport and Image Synthesis" (1990).
 
 /// The most paths that share a camera ray.
 pub(in crate::render) const MOST_PATHS: u32 = 4;
 
-/// Where sample number `sample` of a pixel comes from, if `n_paths` paths share a camera ray: the ray's number, and the path's number
-/// among those of the ray.
+/// The number of a sample's camera ray, and the number of its path among the `n_paths` of the ray.
 ///
-/// The first after a power of two takes its own number, and the next rays those that follow: camera rays are even where their numbers
-/// follow each other, not where they are multiples of another.
+/// A sample whose number is a power of two has a ray of the same number; the next rays have the numbers that follow. Camera rays
+/// fill a pixel evenly where their numbers follow each other, but not where they are multiples of two or four.
 pub(in crate::render) fn camera_ray(sample: u32, n_paths: u32) -> (u32, u32) {
     let first = if sample == 0 { 0 } else { 1 << sample.ilog2() };
     let after = sample - first;
     (first + after / n_paths, after % n_paths)
 }
 
-/// The number of paths for each camera ray that gives the least noise for its rays, rounded down to a power of two, at most `most`.
+/// The number of paths for each camera ray that gives the least noise for the rays, rounded down to a power of two, at most
+/// `most`.
 ///
-/// Noise comes from where camera rays go, and from where paths go then, with these variances; each of both takes so many rays.
-/// Per path, rays are c/n + p, and variances are C n + P: their product is least at n² = c P / (p C).
+/// Camera rays and paths have a variance each, C and P, and take c and p rays each. With n paths for each camera ray, a path takes
+/// c/n + p rays, and its variance is C n + P: their product is least at n² = c P / (p C).
 pub(in crate::render) fn best_n_paths(variances: [f64; 2], n_rays: [f64; 2], most: u32) -> u32 {
     let best = (n_rays[0] * variances[1] / (n_rays[1] * variances[0])).sqrt();
     // No number if there is no noise.
