@@ -226,7 +226,7 @@ pub struct LightSums {
     pub lights: [[Vec3; 64]; MOST_PACKETS],
     /// Of the others in path-traced frames, and their number; empty in other frames.
     as_it_is: Vec<(Vec3, u32)>,
-    /// What the pixels' paths have found; empty in frames without paths.
+    /// Findings of the pixels' paths; empty in frames without paths.
     pub(super) pixels: Vec<PixelPaths>,
 }
 

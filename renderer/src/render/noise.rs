@@ -133,6 +133,7 @@ fn sum_group(
             keep(&mut variances, variances_of_parts(halves, place));
             keep(&mut n_rays, paths.rays_of_parts(n_samples));
         }
+        // Before the numbers of paths change: the next half's variances are compared with these.
         half = sums.clone();
         for (Pixel { tile, index, end }, paths) in pixels.iter_mut().zip(&mut sums.pixels) {
             let block = &tiles[*tile];
@@ -183,8 +184,8 @@ fn squared_noise(lighting: &Lighting<'_>, halves: [&LightSums; 2], place: usize)
     f64::from(differences.map(|difference| difference * difference).sum::<i32>()) / 12.0
 }
 
-/// The estimated variances of a pixel's samples, from two halves of them: of what comes with the camera's rays, and of what comes with
-/// their paths. In the light that they bring: both are of the same pixel.
+/// The estimated variances of a pixel's samples, up to a factor, from two halves of them: of the light that comes with camera
+/// rays, and of that which comes with their paths.
 fn variances_of_parts(halves: [&LightSums; 2], place: usize) -> [f64; 2] {
     let [[light_a, shared_a], [light_b, shared_b]] = halves.map(|half| half.light_of_parts(place));
     let (shared, all) = (shared_b - shared_a, light_b - light_a);

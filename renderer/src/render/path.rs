@@ -129,7 +129,7 @@ impl Path {
         self.hit.is_miss()
     }
 
-    /// What a ray brings from where it finds this light to its surface, and on to the eye.
+    /// The contribution of a ray from its surface that finds this much light.
     fn brings(&self, light: Vec3) -> Contribution {
         let light = self.weight * light;
         Contribution {

@@ -1,4 +1,4 @@
-//! What the paths of a pixel bring and find, and how its next are traced.
+//! Light and findings of a pixel's paths, and how its next are traced.
 
 use glam::Vec3;
 
@@ -7,7 +7,7 @@ use crate::{intersect::MOST_PACKETS, render::path::sun_sight::SunSight};
 /// Pixels of a group of blocks: so many sums lie between those of a sample and of the next.
 const PIXELS: usize = 64 * MOST_PACKETS;
 
-/// What the paths of a pixel have found, and how its next are traced.
+/// Findings of a pixel's paths, and how its next are traced.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::render) struct PixelPaths {
     /// The sight of the sun from the surfaces that its camera rays hit.
@@ -63,7 +63,7 @@ pub(in crate::render) struct PixelSums<'a> {
 }
 
 impl PixelSums<'_> {
-    /// What the paths of the pixel of these have found.
+    /// Findings of the paths of the same pixel.
     pub(super) fn paths(&mut self, sharing: Sharing) -> &mut PixelPaths {
         &mut self.pixels[sharing.first % PIXELS]
     }

@@ -37,7 +37,7 @@ const LEAST_TRACED_PART: f32 = 0.0625;
 const AGREEING: f64 = 256.0;
 
 impl Expected {
-    /// What the next `n_rays` rays of a pixel are expected to find after the rays of its neighbourhood, of which so many reached the
+    /// The expected finding of the next `n_rays` rays of a pixel, after those of its neighbourhood, of which so many reached the
     /// sun, and so many did not. `None` if they disagree.
     pub(in crate::render) fn after(n_rays: u32, [n_lit, n_shaded]: [f64; 2]) -> Option<Self> {
         let is_shaded = n_shaded > n_lit;
