@@ -5,7 +5,7 @@
 //! samples where their number is a power of two. A pixel whose few samples happen to agree must not stop too early, so the
 //! estimates of neighbours in its tile, and its earlier ones, count as well.
 //!
-//! Rays to the sun are left out where those of the neighbours in the tile all found the same: see [`Expected`]. Paths share camera
+//! Rays to sun and sky are left out where those of the neighbours in the tile all found the same: see [`Expected`]. Paths share camera
 //! rays where these bring little of the noise: see [`splitting`].
 //!
 //! Samples that are proportional to the standard deviation of a pixel's light give a picture the least error; pixels of equal
@@ -24,8 +24,8 @@ use crate::render::{
     blocks::{SampleBlock, for_each_group},
     lighting::{LightSums, Lighting},
     path::{
+        sight::Expected,
         splitting::{self, MOST_PATHS},
-        sun_sight::Expected,
     },
     tracer::Sampler,
 };
@@ -41,7 +41,7 @@ const N_STEPS: u32 = 4;
 /// The noise of a pixel is estimated from those of its tile that are at most so far away along each side.
 const REACH: usize = 2;
 
-/// The same for what its rays to the sun are expected to find, and for how many paths share a camera ray. Edges are sharp, and wrong
+/// The same for what its rays to sun and sky are expected to find, and for how many paths share a camera ray. Edges are sharp, and wrong
 /// numbers only add noise, so nine pixels say enough.
 const NEAR_REACH: usize = 1;
 
@@ -109,6 +109,7 @@ fn sum_group(
     let mut pixels: Vec<_> = tiles.iter().enumerate().flat_map(of_tile).collect();
     let mut squared_noises = vec![[0.0; 64]; tiles.len()];
     let mut sun_rays = vec![[[0.0; 64]; 2]; tiles.len()];
+    let mut sky_rays = sun_rays.clone();
     let mut variances = sun_rays.clone();
     let mut n_rays = sun_rays.clone();
     let mut sums = sampler.lighting.no_light();
@@ -129,7 +130,8 @@ fn sum_group(
                 let of_tile = &mut of_tiles[pixel.tile];
                 of_tile.iter_mut().zip(values).for_each(|(of_tile, value)| of_tile[pixel.index] = value);
             };
-            keep(&mut sun_rays, [paths.sun.n_lit, paths.sun.n_shaded].map(f64::from));
+            keep(&mut sun_rays, [paths.sun.n_open, paths.sun.n_blocked].map(f64::from));
+            keep(&mut sky_rays, [paths.sky.n_open, paths.sky.n_blocked].map(f64::from));
             keep(&mut variances, variances_of_parts(halves, place));
             keep(&mut n_rays, paths.rays_of_parts(n_samples));
         }
@@ -146,7 +148,8 @@ fn sum_group(
             *end = steps.map_or(most, |steps| most.min(n_samples + steps * (n_samples / N_STEPS)));
             paths.n_paths =
                 splitting::best_n_paths(near(&variances), near(&n_rays), MOST_PATHS.min(n_samples / N_STEPS));
-            paths.sun.expected = Expected::after(n_samples / paths.n_paths, near(&sun_rays));
+            paths.sun.expected = Expected::of_sun(n_samples / paths.n_paths, near(&sun_rays));
+            paths.sky.expected = Expected::of_sky(n_samples, near(&sky_rays));
         }
         // Add samples in steps, and put aside the pixels that have enough.
         for step in 0..=N_STEPS {

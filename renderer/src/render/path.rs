@@ -9,19 +9,20 @@
 //! in one call. Only + − × ÷ √ are used, in a fixed order for each path: every machine computes the same bits.
 //!
 //! `sobol` makes random numbers, `lights` are sun and sky, `lamp` lights rooms, `ground` catches shadows, `scattering` is what
-//! surfaces do to light, and `tone` makes it fit a display. `splitting` and `sun_sight` save rays; `pixel` keeps what a pixel's
-//! paths bring and find.
+//! surfaces do to light, and `tone` makes it fit a display. `splitting` and `sight` save rays; `rays` go on from surfaces; `pixel`
+//! keeps what a pixel's paths bring and find.
 
 mod ground;
 mod lamp;
 pub(super) mod lights;
 pub(super) mod pixel;
+mod rays;
 mod scattering;
+pub(super) mod sight;
 #[cfg(test)]
 mod sky_tests;
 mod sobol;
 pub(super) mod splitting;
-pub(super) mod sun_sight;
 #[cfg(test)]
 mod tests;
 pub(super) mod tone;
@@ -36,10 +37,11 @@ use self::{
     lamp::Lamp,
     lights::{Sky, Sun},
     pixel::{PixelPaths, PixelSums, Sharing},
+    rays::{Contribution, NextRays, Pending},
     scattering::{ScatterSample, Scattering},
+    sight::{Expected, SightOf},
     sobol::PixelSample,
     splitting::camera_ray,
-    sun_sight::Expected,
 };
 use crate::{
     grid::Grid,
@@ -121,7 +123,9 @@ pub(super) struct Path {
     /// The least density with which a direction of the path was chosen, for each steradian.
     density: f32,
     /// The expected finding of the next ray to the sun.
-    expected: Option<Expected>,
+    expected_sun: Option<Expected>,
+    /// The expected finding of the next ray of the path.
+    expected_sky: Option<Expected>,
 }
 
 impl Path {
@@ -136,7 +140,7 @@ impl Path {
             sharing: self.sharing,
             light: if self.is_on_ground() { -light } else { light },
             comes_with_hit: self.is_on_ground(),
-            shows_sun: false,
+            sight: None,
         }
     }
 
@@ -154,24 +158,6 @@ impl Path {
 /// Robust Light Transport" (2013).
 fn least_roughness(density: f32) -> f32 {
     LEAST_SCATTERED_ROUGHNESS * (SCATTERED_DENSITY / density).min(1.0).sqrt().sqrt()
-}
-
-/// The light that a ray brings to a pixel.
-#[derive(Clone, Copy)]
-struct Contribution {
-    /// The paths that it comes to.
-    sharing: Sharing,
-    light: Vec3,
-    /// Whether it comes where the ray hits something, as the light that the ground loses there, rather than where it hits nothing.
-    comes_with_hit: bool,
-    /// Whether the ray goes to the sun from the surface that the camera sees.
-    shows_sun: bool,
-}
-
-/// A ray of a path, and the light that it brings.
-struct Pending {
-    path: Path,
-    contribution: Contribution,
 }
 
 /// Paths by number.
@@ -192,48 +178,6 @@ impl WideRays for PathRays<'_> {
     #[inline(always)]
     fn sides(&self, index: usize) -> [Vec3; 2] {
         self.0[index].sides
-    }
-}
-
-/// The rays that go on from the surfaces of many paths.
-#[derive(Default)]
-struct NextRays {
-    /// Those that only ask whether they hit anything.
-    shadow_rays: Vec<Ray>,
-    /// Of each of them.
-    contributions: Vec<Contribution>,
-    pending: Vec<Pending>,
-}
-
-impl NextRays {
-    /// Adds a shadow ray of this length.
-    fn push_shadow_ray(&mut self, (origin, direction, length): (DVec3, Vec3, f32), contribution: Contribution) {
-        if contribution.light != Vec3::ZERO {
-            self.shadow_rays.push(Ray { t_max: length, ..Ray::new(origin.as_vec3(), direction) });
-            self.contributions.push(contribution);
-        }
-    }
-
-    /// Adds what a shadow ray of this length is expected to bring; and where `random`, from 0 to 1, is below the part of such rays
-    /// that is traced, the ray, which brings the difference if it finds otherwise.
-    fn push_expected_ray(
-        &mut self,
-        ray: (DVec3, Vec3, f32),
-        contribution: Contribution,
-        (Expected { is_shaded, traced_part }, random): (Expected, f32),
-        sums: &mut PixelSums<'_>,
-    ) {
-        let Contribution { sharing, light, comes_with_hit, .. } = contribution;
-        let is_expected_to_come = comes_with_hit == is_shaded;
-        if is_expected_to_come {
-            sums.add(sharing, light);
-        }
-        if random >= traced_part {
-            return;
-        }
-        let sign = if is_expected_to_come { -1.0 } else { 1.0 };
-        let difference = light * (sign / traced_part);
-        self.push_shadow_ray(ray, Contribution { light: difference, comes_with_hit: !is_shaded, ..contribution });
     }
 }
 
@@ -308,7 +252,8 @@ impl<'a> PathTracer<'a> {
                     hit,
                     weight,
                     density: f32::INFINITY,
-                    expected: found.sun.expected,
+                    expected_sun: found.sun.expected,
+                    expected_sky: found.sky.expected,
                 });
             }
         }
@@ -365,13 +310,13 @@ impl<'a> PathTracer<'a> {
         sums: &mut PixelSums<'_>,
     ) {
         let random = |number: u32| path.sample.pair(DIMENSIONS * u32::from(bounce) + number);
+        let is_first = bounce == 0;
         let (direction, of_sun) = self.sun_light(scattering, random(0));
-        let to_sun = (lifted.point, direction, f32::MAX);
-        let sunlight = Contribution { shows_sun: bounce == 0, ..path.brings(of_sun) };
-        match path.expected {
-            // No path ends at its first surface, so the number is free there.
-            Some(expected) => rays.push_expected_ray(to_sun, sunlight, (expected, random(1)[1]), sums),
-            None => rays.push_shadow_ray(to_sun, sunlight),
+        let sunlight = Contribution { sight: is_first.then_some(SightOf::Sun), ..path.brings(of_sun) };
+        // No path ends at its first surface, so the number is free there.
+        let beyond = |expected| sunlight.beyond((expected, random(1)[1]), sums);
+        if let Some(sunlight) = path.expected_sun.map_or(Some(sunlight), beyond) {
+            rays.push_shadow_ray((lifted.point, direction, f32::MAX), sunlight);
         }
         // The lamp shows the model alone.
         if let Some(lamp) = self.lamp.as_ref().filter(|_| !path.is_on_ground()) {
@@ -381,26 +326,39 @@ impl<'a> PathTracer<'a> {
             rays.push_shadow_ray(ray, path.brings(part * light));
         }
         for number in 0..path.sharing.n_paths {
-            self.follow_on(&path.alone(number), lifted, scattering, bounce, rays);
+            self.follow_on(&path.alone(number), lifted, scattering, bounce, rays, sums);
         }
     }
 
     /// Sends a ray to a path's next surface; the less light it brings, the more often the path ends (Russian roulette).
     #[inline(always)]
-    fn follow_on(&self, path: &Path, lifted: &LiftedPoint, scattering: &Scattering, bounce: u8, rays: &mut NextRays) {
-        let is_last = bounce == self.bounces;
+    fn follow_on(
+        &self,
+        path: &Path,
+        lifted: &LiftedPoint,
+        scattering: &Scattering,
+        bounce: u8,
+        rays: &mut NextRays,
+        sums: &mut PixelSums<'_>,
+    ) {
+        let (is_first, is_last) = (bounce == 0, bounce == self.bounces);
         let random = |number: u32| path.sample.pair(DIMENSIONS * u32::from(bounce) + number);
         let [choice, roulette] = random(1);
         let Some(next) = scattering.sample(choice, random(2)) else { return };
         let ScatterSample { direction, is_diffuse, density, .. } = next;
         let weight = path.weight * next.weight;
         let bright = weight.max_element() * (1.0 / ROULETTE_WEIGHT);
-        let survival = if bounce == 0 || is_last { 1.0 } else { bright.min(1.0) };
+        let survival = if is_first || is_last { 1.0 } else { bright.min(1.0) };
         if roulette >= survival {
             return;
         }
-        let path = Path { weight: weight * (1.0 / survival), ..*path };
-        let escaped = path.brings(self.escaped(direction, density));
+        let mut path = Path { weight: weight * (1.0 / survival), ..*path };
+        let mut escaped = path.brings(self.escaped(direction, density));
+        escaped.sight = is_first.then_some(SightOf::Sky);
+        if let Some(expected) = path.expected_sky {
+            let Some(beyond) = escaped.beyond((expected, roulette), sums) else { return };
+            (escaped, path.weight) = (beyond, path.weight * (1.0 / expected.traced_part));
+        }
         if is_last {
             rays.push_shadow_ray((lifted.point, direction, f32::MAX), escaped);
             return;
@@ -413,7 +371,8 @@ impl<'a> PathTracer<'a> {
                 direction,
                 sides: tangent_basis(direction).map(|side| side * width),
                 density: path.density.min(density),
-                expected: None,
+                expected_sun: None,
+                expected_sky: None,
                 ..path
             },
             contribution: escaped,
@@ -462,35 +421,23 @@ impl<'a> PathTracer<'a> {
         sky + sun.radiance * (density / (density + sun.density))
     }
 
-    /// Traces shadow rays, and adds their light and what they see of the sun.
+    /// Traces shadow rays, and adds what they find.
     fn cast_shadows(&self, mut rays: Vec<Ray>, contributions: &[Contribution], sums: &mut PixelSums<'_>) {
         let mut occluded = vec![false; rays.len()];
         clip::occluded_rays(self.grid, self.clip.as_ref(), &mut rays, &mut occluded);
-        for (&Contribution { sharing, light, comes_with_hit, shows_sun }, is_occluded) in
-            contributions.iter().zip(occluded)
-        {
-            if comes_with_hit == is_occluded {
-                sums.add(sharing, light);
-            }
-            let PixelPaths { sun, n_other_rays, .. } = sums.paths(sharing);
-            *n_other_rays += 1;
-            if shows_sun {
-                *if is_occluded { &mut sun.n_shaded } else { &mut sun.n_lit } += 1;
-            }
+        for (&contribution, is_occluded) in contributions.iter().zip(occluded) {
+            sums.add_found(contribution, is_occluded);
         }
     }
 
-    /// Traces paths to their next surfaces, and adds the light of these rays.
+    /// Traces paths to their next surfaces, and adds what their rays find.
     fn follow(&self, pending: Vec<Pending>, sums: &mut PixelSums<'_>) -> Vec<Path> {
         let ray = |Pending { path, .. }: &Pending| Ray::new(path.origin.as_vec3(), path.direction);
         let rays: Vec<_> = pending.iter().map(ray).collect();
         let mut hits = vec![Hit::MISS; rays.len()];
         clip::intersect_rays(self.grid, self.clip.as_ref(), &rays, &mut hits);
         let followed = pending.into_iter().zip(hits).filter_map(|(Pending { path, contribution }, hit)| {
-            if contribution.comes_with_hit != hit.is_miss() {
-                sums.add(path.sharing, contribution.light);
-            }
-            sums.paths(path.sharing).n_other_rays += 1;
+            sums.add_found(contribution, !hit.is_miss());
             (!hit.is_miss()).then_some(Path { hit, ..path })
         });
         followed.collect()

@@ -2,7 +2,11 @@
 
 use glam::Vec3;
 
-use crate::{intersect::MOST_PACKETS, render::path::sun_sight::SunSight};
+use super::{
+    rays::Contribution,
+    sight::{Sight, SightOf},
+};
+use crate::intersect::MOST_PACKETS;
 
 /// Pixels of a group of blocks: so many sums lie between those of a sample and of the next.
 const PIXELS: usize = 64 * MOST_PACKETS;
@@ -11,7 +15,9 @@ const PIXELS: usize = 64 * MOST_PACKETS;
 #[derive(Clone, Copy, Debug)]
 pub(in crate::render) struct PixelPaths {
     /// The sight of the sun from the surfaces that its camera rays hit.
-    pub(in crate::render) sun: SunSight,
+    pub(in crate::render) sun: Sight,
+    /// What the rays of its paths meet that go on from there.
+    pub(in crate::render) sky: Sight,
     /// Sum of the light that paths with the same camera ray share: the background's, and what the ray's surface gives off, or
     /// scatters from sun and lamp.
     pub(in crate::render) shared_light: Vec3,
@@ -24,15 +30,15 @@ pub(in crate::render) struct PixelPaths {
 
 impl Default for PixelPaths {
     fn default() -> Self {
-        let (sun, shared_light) = (SunSight::default(), Vec3::ZERO);
-        Self { sun, shared_light, n_paths: 1, n_camera_rays: 0, n_other_rays: 0 }
+        let (sun, sky) = (Sight::default(), Sight::default());
+        Self { sun, sky, shared_light: Vec3::ZERO, n_paths: 1, n_camera_rays: 0, n_other_rays: 0 }
     }
 }
 
 impl PixelPaths {
     /// Number of rays that each camera ray takes with what its paths share, and number that each of `n_samples` paths takes alone.
     pub(in crate::render) fn rays_of_parts(&self, n_samples: u32) -> [f64; 2] {
-        let n_sun_rays = self.sun.n_lit + self.sun.n_shaded;
+        let n_sun_rays = self.sun.n_open + self.sun.n_blocked;
         let of_camera = 1.0 + f64::from(n_sun_rays) / f64::from(self.n_camera_rays);
         [of_camera, f64::from(self.n_other_rays - n_sun_rays) / f64::from(n_samples)]
     }
@@ -64,7 +70,7 @@ pub(in crate::render) struct PixelSums<'a> {
 
 impl PixelSums<'_> {
     /// Findings of the paths of the same pixel.
-    pub(super) fn paths(&mut self, sharing: Sharing) -> &mut PixelPaths {
+    fn paths(&mut self, sharing: Sharing) -> &mut PixelPaths {
         &mut self.pixels[sharing.first % PIXELS]
     }
 
@@ -75,6 +81,21 @@ impl PixelSums<'_> {
         }
         if sharing.is_direct {
             self.paths(sharing).shared_light += light * sharing.n_paths as f32;
+        }
+    }
+
+    /// Adds what a ray has found: its light, and the sight.
+    pub(super) fn add_found(&mut self, contribution: Contribution, is_blocked: bool) {
+        let Contribution { sharing, light, comes_with_hit, sight } = contribution;
+        if comes_with_hit == is_blocked {
+            self.add(sharing, light);
+        }
+        let paths = self.paths(sharing);
+        paths.n_other_rays += 1;
+        match sight {
+            Some(SightOf::Sun) => paths.sun.count(is_blocked),
+            Some(SightOf::Sky) => paths.sky.count(is_blocked),
+            None => {}
         }
     }
 }

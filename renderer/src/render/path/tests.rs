@@ -12,7 +12,7 @@ use shared::{
     scene::SceneId,
 };
 
-use super::{splitting::MOST_PATHS, sun_sight::SunSight, *};
+use super::{sight::Sight, splitting::MOST_PATHS, *};
 use crate::{
     grid::GridOptions,
     model::{
@@ -120,23 +120,31 @@ fn lights_of(
 }
 
 #[test]
-fn whatever_the_sun_rays_are_expected_to_find_the_mean_light_is_the_same() {
-    // The statue has lit and shaded sides, and edges of shadows.
+fn whatever_rays_are_expected_to_find_the_mean_light_is_the_same() {
+    // The statue has lit and shaded sides, edges of shadows, and folds that see more of the statue.
     let scene = build(statue::generate(3000, &|_| ()));
     let spec = spec(DVec3::new(0.6, 1.5, 3.0), DVec3::Y * 1.4, 1);
     let n_samples = 256;
     let (truth, all_rays) = lights_of(PixelPaths::default(), &scene, &spec, n_samples, |_| ());
-    for (is_shaded, traced_part) in [(false, 0.5), (true, 0.5), (false, 0.125), (true, 0.125), (true, 1.0)] {
-        let expected = Expected { is_shaded, traced_part };
-        let sun = SunSight { expected: Some(expected), ..SunSight::default() };
-        let paths = PixelPaths { sun, ..PixelPaths::default() };
-        let (lights, n_rays) = lights_of(paths, &scene, &spec, n_samples, |_| ());
-        let (sum, squares) = differences(&lights, &truth);
-        let left_out = f64::from(all_rays - n_rays) / f64::from(n_samples * lights.len() as u32);
-        assert!(sum.abs() <= 4.0 * f64::sqrt(squares) + 1e-6, "{expected:?}: {sum} of {}", f64::sqrt(squares));
-        // Some surfaces face away from the sun, and send it no ray.
-        let most = f64::from(1.0 - traced_part);
-        assert!((0.4 * most..=most + 1e-3).contains(&left_out), "{expected:?}: {left_out} are left out");
+    for (is_blocked, traced_part) in [(false, 0.5), (true, 0.5), (false, 0.125), (true, 0.125), (true, 1.0)] {
+        let expected = Some(Expected { is_blocked, traced_part });
+        let sight = Sight { expected, ..Sight::default() };
+        // Of each path. Some surfaces face away from the sun, and send it no ray; where the path would have met another surface,
+        // two more are left out.
+        let (of_sun, of_sky) = (0.4..=1.0, 1.0..=3.0);
+        let sun = PixelPaths { sun: sight, ..PixelPaths::default() };
+        let sky = PixelPaths { sky: sight, ..PixelPaths::default() };
+        for (paths, range) in [(sun, of_sun), (sky, of_sky)] {
+            let (lights, n_rays) = lights_of(paths, &scene, &spec, n_samples, |_| ());
+            let (sum, squares) = differences(&lights, &truth);
+            let left_out = f64::from(all_rays - n_rays) / f64::from(n_samples * lights.len() as u32);
+            assert!(sum.abs() <= 4.0 * f64::sqrt(squares) + 1e-6, "{expected:?}: {sum} of {}", f64::sqrt(squares));
+            let part = left_out / f64::from(1.0 - traced_part).max(1e-9);
+            assert!(
+                traced_part == 1.0 || (range.start() - 0.01..range.end() + 0.01).contains(&part),
+                "{expected:?}: {part} of {range:?}"
+            );
+        }
     }
 }
 

@@ -1,0 +1,99 @@
+//! Rays to sun and sky that are not traced, because those of the neighbourhood all find the same.
+//!
+//! Where every ray of a pixel and its neighbours reaches the sun, or none does, the next one is expected to do so too: its light is
+//! added as if it did, and only a part of these rays is traced. One that finds otherwise takes back what was added for all that
+//! it stands for: a control variate (Owen, *Monte Carlo theory, methods and examples*, 2013, section 8.9) whose difference is found
+//! by Russian roulette (Arvo and Kirk, "Particle Transport and Image Synthesis", 1990). So the mean light is right whatever is
+//! expected, as long as it is decided before; a wrong expectation only adds noise.
+//!
+//! The same holds for paths that leave the surface for the sky. Those that meet another surface go on, and light from there stands
+//! for all that were not traced.
+
+/// Which light a ray is sent to, from the surface that a camera ray hits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum SightOf {
+    Sun,
+    /// All directions in which the path may go on.
+    Sky,
+}
+
+/// A pixel's sight of a light, from the surfaces that its camera rays hit, as its rays have found it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(in crate::render) struct Sight {
+    /// Number of rays that hit nothing.
+    pub(in crate::render) n_open: u32,
+    /// Number of rays that something blocks.
+    pub(in crate::render) n_blocked: u32,
+    /// The expected finding of further rays.
+    pub(in crate::render) expected: Option<Expected>,
+}
+
+impl Sight {
+    /// Counts a ray's finding.
+    pub(super) fn count(&mut self, is_blocked: bool) {
+        *if is_blocked { &mut self.n_blocked } else { &mut self.n_open } += 1;
+    }
+}
+
+/// The expected finding of a pixel's next rays to a light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::render) struct Expected {
+    /// Whether something blocks them.
+    pub(super) is_blocked: bool,
+    /// The part of them that is traced, above 0.
+    pub(super) traced_part: f32,
+}
+
+/// From one estimate to the next, at least so many of a pixel's rays are traced, so that one that finds otherwise does not change
+/// its mean by more than a quarter of the light.
+const FEWEST_TRACED: f32 = 2.0;
+
+/// Fewer rays to the sun are never traced: the others cost less than what finds otherwise adds in noise.
+const LEAST_PART_OF_SUN: f32 = 0.0625;
+
+/// The same of paths that are expected to leave for the sky. Those that do not bring light of many kinds, and more noise.
+const LEAST_PART_OF_SKY: f32 = 0.25;
+
+/// Of so many rays, none or one may find otherwise. With more, it takes fewer rays to trace all of them.
+const AGREEING: f64 = 256.0;
+
+impl Expected {
+    /// The expected finding of the next `n_rays` rays of a pixel to the sun, after those of its neighbourhood, of which so many
+    /// were open, and so many blocked. `None` if they disagree.
+    pub(in crate::render) fn of_sun(n_rays: u32, found: [f64; 2]) -> Option<Self> {
+        Self::after(n_rays, found, LEAST_PART_OF_SUN)
+    }
+
+    /// The same of paths that go on from the surfaces. `None` also if they meet others: only these know the light from there.
+    pub(in crate::render) fn of_sky(n_paths: u32, found: [f64; 2]) -> Option<Self> {
+        Self::after(n_paths, found, LEAST_PART_OF_SKY).filter(|expected| !expected.is_blocked)
+    }
+
+    fn after(n_rays: u32, [n_open, n_blocked]: [f64; 2], least_part: f32) -> Option<Self> {
+        let is_blocked = n_blocked > n_open;
+        let agree = n_open.min(n_blocked) * AGREEING <= n_open + n_blocked && n_open + n_blocked > 0.0;
+        let traced_part = (FEWEST_TRACED / n_rays as f32).clamp(least_part, 1.0);
+        agree.then_some(Self { is_blocked, traced_part })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rays_are_expected_to_find_what_all_of_the_neighbourhood_found() {
+        let pair = |Expected { is_blocked, traced_part }| (is_blocked, traced_part);
+        let of_sun = |n_rays, found| Expected::of_sun(n_rays, found).map(pair);
+        assert_eq!(of_sun(8, [200.0, 0.0]), Some((false, 0.25)));
+        assert_eq!(of_sun(16, [0.0, 3.0]), Some((true, 0.125)));
+        assert_eq!(of_sun(256, [0.0, 3.0]), Some((true, 0.0625)));
+        assert_eq!(of_sun(2, [1.0, 0.0]), Some((false, 1.0)));
+        assert_eq!([[0.0, 0.0], [200.0, 1.0], [5.0, 5.0]].map(|found| of_sun(8, found)), [None; 3]);
+        assert_eq!(of_sun(16, [2.0, 510.0]), Some((true, 0.125)));
+
+        let of_sky = |n_paths, found| Expected::of_sky(n_paths, found).map(pair);
+        assert_eq!([4, 8, 256].map(|n| of_sky(n, [70.0, 0.0])), [0.5, 0.25, 0.25].map(|part| Some((false, part))));
+        assert_eq!([[0.0, 70.0], [70.0, 1.0]].map(|found| of_sky(8, found)), [None; 2]);
+    }
+}
