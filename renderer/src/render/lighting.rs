@@ -196,24 +196,30 @@ impl<'a> Lighting<'a> {
         }
     }
 
-    /// The mean light of the samples of pixel `index` of a block, encoded.
+    /// The mean light of the samples of pixel `index` of a block, linear, as a display shows it.
     ///
     /// Exposure and tone mapping change the light of lit surfaces alone: a background is shown as it was asked for, and unlit
     /// surfaces as their colours say.
     #[inline]
-    pub fn encode(&self, sums: &LightSums, (block, index): (usize, usize)) -> [u8; 3] {
+    pub(super) fn shown(&self, sums: &LightSums, (block, index): (usize, usize)) -> Vec3 {
         let n_samples = sums.n_samples;
         let light = sums.lights[block][index];
-        let mean = match (&self.paths, sums.as_it_is.get(64 * block + index)) {
+        match (&self.paths, sums.as_it_is.get(64 * block + index)) {
             (Some(_), Some(&(as_it_is, n))) if n == n_samples => as_it_is / n_samples as f32,
             (Some((_, tone)), Some(&(as_it_is, n))) => {
                 let n_lit = (n_samples - n) as f32;
                 (tone.shown(light / n_lit) * n_lit + as_it_is) / n_samples as f32
             }
             _ => light / n_samples as f32,
-        };
+        }
+    }
+
+    /// The same, encoded.
+    #[inline]
+    pub fn encode(&self, sums: &LightSums, at: (usize, usize)) -> [u8; 3] {
+        let light = self.shown(sums, at);
         // An array's `map` is a call for each pixel, and takes 3 to 5 % of a frame.
-        [srgb::encode(mean.x), srgb::encode(mean.y), srgb::encode(mean.z)]
+        [srgb::encode(light.x), srgb::encode(light.y), srgb::encode(light.z)]
     }
 }
 

@@ -2,8 +2,9 @@
 //!
 //! The estimate is a pure function of the samples of a pixel's tile, so every render server stops at the same one. It compares
 //! the mean of the first half of the samples with that of the second, as a display would show them: both are low-discrepancy
-//! samples where their number is a power of two. A pixel whose few samples happen to agree must not stop too early, so the
-//! estimates of neighbours in its tile, and its earlier ones, count as well.
+//! samples where their number is a power of two. Encoded values tell what the eye sees, above all in the dark; linear light, which
+//! counts as much, what is bright. A pixel whose few samples happen to agree must not stop too early, so the estimates of
+//! neighbours in its tile, and its earlier ones, count as well.
 //!
 //! Rays to sun and sky are left out where those of the neighbours in the tile all found the same: see [`Expected`]. Paths share camera
 //! rays where these bring little of the noise: see [`splitting`].
@@ -18,6 +19,7 @@ use shared::{
     division::{SampleRect, Share, TILE_SIZE},
     noise::NoiseLimit,
     protocol::{FrameSpec, LightingMode, ShadingMode},
+    srgb,
 };
 
 use crate::render::{
@@ -180,11 +182,15 @@ fn add(sampler: &mut Sampler<'_>, tiles: &[SampleBlock<'_>], pixels: &[Pixel], e
 }
 
 /// The estimated square of a pixel's noise in levels, from two halves of its samples: the mean square, over the channels, of the
-/// error of the mean of encoded values, which is half of the halves' difference.
+/// error of the mean, which is half of the halves' difference. It is that of encoded values and of linear light, each to one half.
 fn squared_noise(lighting: &Lighting<'_>, halves: [&LightSums; 2], place: usize) -> f64 {
-    let [a, b] = halves.map(|sums| lighting.encode(sums, (place / 64, place % 64)));
-    let differences = a.into_iter().zip(b).map(|(a, b)| i32::from(a) - i32::from(b));
-    f64::from(differences.map(|difference| difference * difference).sum::<i32>()) / 12.0
+    let [a, b] = halves.map(|sums| lighting.shown(sums, (place / 64, place % 64)));
+    let channels = (0..3).map(|channel| [a[channel], b[channel]]);
+    let differences = channels.flat_map(|[a, b]| {
+        let encoded = f32::from(srgb::encode(a)) - f32::from(srgb::encode(b));
+        [encoded, 255.0 * (a.min(1.0) - b.min(1.0))]
+    });
+    differences.map(|difference| f64::from(difference * difference)).sum::<f64>() / 24.0
 }
 
 /// The estimated variances of a pixel's samples, up to a factor, from two halves of them: of the light that comes with camera
