@@ -9,9 +9,9 @@
 //! Rays to sun and sky are left out where those of the neighbours in the tile all found the same: see [`Expected`]. Paths share camera
 //! rays where these bring little of the noise: see [`splitting`].
 //!
-//! Samples that are proportional to the standard deviation of a pixel's light give a picture the least error; pixels of equal
-//! noise, as many as their variance asks for, are no better in that than equal numbers everywhere. So a pixel that needs many
-//! samples may keep more noise: see [`allowed`].
+//! Samples that are proportional to the standard deviation of a pixel's light give a picture the least error for their number;
+//! pixels of equal noise, as many as their variance asks for, are no better in that than equal numbers everywhere. And a sample that
+//! takes more rays must be worth them. So a pixel that needs many rays may keep more noise: see [`allowed`].
 
 use std::{collections::BTreeMap, ops::Range};
 
@@ -33,9 +33,11 @@ use crate::render::{
 };
 
 /// Samples of each pixel before the first estimate: a power of two, so that its halves are low-discrepancy samples. Those of
-/// 64 pixels complement each other, and also find small bright features. A pixel that needs no more may keep just the noise of
-/// the limit.
+/// 64 pixels complement each other, and also find small bright features.
 const FEWEST_SAMPLES: u32 = 8;
+
+/// A pixel that needs so many rays, as the first samples of a surface in the open often take, may keep just the noise of the limit.
+const RAYS_AT_LIMIT: f64 = 20.0;
 
 /// Between one estimate and the next, a pixel may stop after each of so many parts of the samples.
 const N_STEPS: u32 = 4;
@@ -96,6 +98,41 @@ struct Pixel {
     end: u32,
 }
 
+/// What the samples of a pixel have shown.
+#[derive(Clone, Copy, Default)]
+struct Findings {
+    /// The estimated square of its noise in levels.
+    squared_noise: f64,
+    /// Rays of a sample, of the second half.
+    rays_of_sample: f64,
+    /// Numbers of open and of blocked rays to the sun.
+    sun_rays: [f64; 2],
+    /// The same to the sky.
+    sky_rays: [f64; 2],
+    /// The estimated variances of camera rays and of paths.
+    variances: [f64; 2],
+    /// The rays that both take.
+    rays_of_parts: [f64; 2],
+}
+
+impl Findings {
+    /// Adds what the rest of a pixel's samples have shown, after the first half of them.
+    fn update(&mut self, lighting: &Lighting<'_>, [sums, half]: [&LightSums; 2], rest: &LightSums, place: usize) {
+        let (n_samples, at) = (sums.n_samples, (place / 64, place % 64));
+        let squared_noise = squared_noise(lighting, [half, rest], at);
+        let is_first = n_samples == FEWEST_SAMPLES;
+        let paths = &sums.pixels[place];
+        *self = Self {
+            squared_noise: if is_first { squared_noise } else { 0.5 * (self.squared_noise + squared_noise) },
+            rays_of_sample: f64::from(sums.n_rays(at) - half.n_rays(at)) / f64::from(rest.n_samples),
+            sun_rays: paths.sun.found(),
+            sky_rays: paths.sky.found(),
+            variances: variances_of_parts([half, rest], place),
+            rays_of_parts: paths.rays_of_parts(n_samples),
+        };
+    }
+}
+
 /// Sums the light of neighbouring tiles, of each pixel until its noise is below the limit.
 fn sum_group(
     sampler: &mut Sampler<'_>,
@@ -109,49 +146,38 @@ fn sum_group(
         lanes.map(move |index| Pixel { tile, index, end: most }).collect::<Vec<_>>()
     };
     let mut pixels: Vec<_> = tiles.iter().enumerate().flat_map(of_tile).collect();
-    let mut squared_noises = vec![[0.0; 64]; tiles.len()];
-    let mut sun_rays = vec![[[0.0; 64]; 2]; tiles.len()];
-    let mut sky_rays = sun_rays.clone();
-    let mut variances = sun_rays.clone();
-    let mut n_rays = sun_rays.clone();
+    let mut findings = vec![[Findings::default(); 64]; tiles.len()];
     let mut sums = sampler.lighting.no_light();
     add(sampler, tiles, &pixels, FEWEST_SAMPLES / 2, &mut sums);
     let mut half = sums.clone();
     add(sampler, tiles, &pixels, FEWEST_SAMPLES, &mut sums);
     while !sampler.is_unwanted() {
         let n_samples = sums.n_samples;
-        let halves = [&half, &sums.without(&half)];
+        let rest = sums.without(&half);
         // A square falls at least as fast as the number of samples rises; pixels that have enough also count as if they had more.
-        squared_noises.as_flattened_mut().iter_mut().for_each(|squared| *squared *= 0.5);
+        findings.as_flattened_mut().iter_mut().for_each(|found| found.squared_noise *= 0.5);
         for (place, pixel) in pixels.iter().enumerate() {
-            let squared = squared_noise(&sampler.lighting, halves, place);
-            let known = &mut squared_noises[pixel.tile][pixel.index];
-            *known = if n_samples == FEWEST_SAMPLES { squared } else { 0.5 * (*known + squared) };
-            let paths = &sums.pixels[place];
-            let keep = |of_tiles: &mut [[[f64; 64]; 2]], values: [f64; 2]| {
-                let of_tile = &mut of_tiles[pixel.tile];
-                of_tile.iter_mut().zip(values).for_each(|(of_tile, value)| of_tile[pixel.index] = value);
-            };
-            keep(&mut sun_rays, [paths.sun.n_open, paths.sun.n_blocked].map(f64::from));
-            keep(&mut sky_rays, [paths.sky.n_open, paths.sky.n_blocked].map(f64::from));
-            keep(&mut variances, variances_of_parts(halves, place));
-            keep(&mut n_rays, paths.rays_of_parts(n_samples));
+            findings[pixel.tile][pixel.index].update(&sampler.lighting, [&sums, &half], &rest, place);
         }
         // Before the numbers of paths change: the next half's variances are compared with these.
         half = sums.clone();
         for (Pixel { tile, index, end }, paths) in pixels.iter_mut().zip(&mut sums.pixels) {
             let block = &tiles[*tile];
-            let around = |of_tile: &[f64; 64], reach| {
-                mean_around(&of_tile[..block.n_samples()], block.row_length(), *index, reach)
+            let around = Neighbours {
+                findings: &findings[*tile][..block.n_samples()],
+                row_length: block.row_length(),
+                index: *index,
             };
-            let near =
-                |of_tiles: &[[[f64; 64]; 2]]| of_tiles[*tile].each_ref().map(|of_tile| around(of_tile, NEAR_REACH));
-            let steps = n_steps(around(&squared_noises[*tile], REACH), n_samples, limit);
+            let [squared_noise] = around.mean(REACH, |it| [it.squared_noise]);
+            let [rays_of_sample] = around.mean(NEAR_REACH, |it| [it.rays_of_sample]);
+            let steps = n_steps(squared_noise, (n_samples, rays_of_sample), limit);
             *end = steps.map_or(most, |steps| most.min(n_samples + steps * (n_samples / N_STEPS)));
-            paths.n_paths =
-                splitting::best_n_paths(near(&variances), near(&n_rays), MOST_PATHS.min(n_samples / N_STEPS));
-            paths.sun.expected = Expected::of_sun(n_samples / paths.n_paths, near(&sun_rays));
-            paths.sky.expected = Expected::of_sky(n_samples, near(&sky_rays));
+            let variances = around.mean(NEAR_REACH, |it| it.variances);
+            let n_rays = around.mean(NEAR_REACH, |it| it.rays_of_parts);
+            paths.n_paths = splitting::best_n_paths(variances, n_rays, MOST_PATHS.min(n_samples / N_STEPS));
+            let (n_sun_rays, sun_rays) = (n_samples / paths.n_paths, around.mean(NEAR_REACH, |it| it.sun_rays));
+            paths.sun.expected = Expected::of_sun(n_sun_rays, sun_rays);
+            paths.sky.expected = Expected::of_sky(n_samples, around.mean(NEAR_REACH, |it| it.sky_rays));
         }
         // Add samples in steps, and put aside the pixels that have enough.
         for step in 0..=N_STEPS {
@@ -183,8 +209,8 @@ fn add(sampler: &mut Sampler<'_>, tiles: &[SampleBlock<'_>], pixels: &[Pixel], e
 
 /// The estimated square of a pixel's noise in levels, from two halves of its samples: the mean square, over the channels, of the
 /// error of the mean, which is half of the halves' difference. It is that of encoded values and of linear light, each to one half.
-fn squared_noise(lighting: &Lighting<'_>, halves: [&LightSums; 2], place: usize) -> f64 {
-    let [a, b] = halves.map(|sums| lighting.shown(sums, (place / 64, place % 64)));
+fn squared_noise(lighting: &Lighting<'_>, halves: [&LightSums; 2], at: (usize, usize)) -> f64 {
+    let [a, b] = halves.map(|sums| lighting.shown(sums, at));
     let channels = (0..3).map(|channel| [a[channel], b[channel]]);
     let differences = channels.flat_map(|[a, b]| {
         let encoded = f32::from(srgb::encode(a)) - f32::from(srgb::encode(b));
@@ -203,31 +229,48 @@ fn variances_of_parts(halves: [&LightSums; 2], place: usize) -> [f64; 2] {
     [shared.length_squared() / (n_paths[0] + n_paths[1]), (all - shared).length_squared() / 2.0].map(f64::from)
 }
 
-/// The mean of the numbers of a tile's pixels, row by row, that are at most `reach` away from one of them along each side.
-fn mean_around(numbers: &[f64], row_length: usize, index: usize, reach: usize) -> f64 {
-    let around = |at: usize, n: usize| at.saturating_sub(reach)..(at + reach + 1).min(n);
-    let (rows, columns) =
-        (around(index / row_length, numbers.len() / row_length), around(index % row_length, row_length));
-    let n = rows.len() * columns.len();
-    rows.flat_map(|row| &numbers[row * row_length..][columns.clone()]).sum::<f64>() / n as f64
+/// The pixels of a tile around one of them.
+struct Neighbours<'a> {
+    /// Of all pixels of the tile, row by row.
+    findings: &'a [Findings],
+    row_length: usize,
+    /// The number of the pixel in the middle.
+    index: usize,
 }
 
-/// After how many steps of a quarter of its `n_samples` samples a pixel has enough: 0 if it has already; `None` if another
-/// estimate comes first.
-fn n_steps(squared_noise: f64, n_samples: u32, limit: NoiseLimit) -> Option<u32> {
+impl Neighbours<'_> {
+    /// The means of some numbers over the pixels that are at most `reach` away along each side.
+    fn mean<const N: usize>(&self, reach: usize, numbers: impl Fn(&Findings) -> [f64; N]) -> [f64; N] {
+        let &Self { findings, row_length, index } = self;
+        let around = |at: usize, n: usize| at.saturating_sub(reach)..(at + reach + 1).min(n);
+        let columns = around(index % row_length, row_length);
+        let rows = around(index / row_length, findings.len() / row_length);
+        let n = (rows.len() * columns.len()) as f64;
+        let mut sums = [0.0; N];
+        for found in rows.flat_map(|row| &findings[row * row_length..][columns.clone()]) {
+            sums.iter_mut().zip(numbers(found)).for_each(|(sum, number)| *sum += number);
+        }
+        sums.map(|sum| sum / n)
+    }
+}
+
+/// After how many steps of a quarter of its `n_samples` samples, each with so many rays, a pixel has enough: 0 if it has already;
+/// `None` if another estimate comes first.
+fn n_steps(squared_noise: f64, (n_samples, rays_of_sample): (u32, f64), limit: NoiseLimit) -> Option<u32> {
     (0..N_STEPS).find(|steps| {
         // The square of the error falls at least as fast as the number of samples rises.
         let growth = 1.0 + f64::from(*steps) / f64::from(N_STEPS);
-        squared_noise <= growth * allowed(f64::from(n_samples) * growth, limit)
+        squared_noise <= growth * allowed(f64::from(n_samples) * rays_of_sample * growth, limit)
     })
 }
 
-/// The square of the noise that a pixel of so many samples may keep.
+/// The square of the noise that a pixel of so many rays may keep.
 ///
-/// It grows as their number. With variances v and squares of the noise v/n, the numbers are then proportional to v^½.
-fn allowed(n_samples: f64, limit: NoiseLimit) -> f64 {
+/// It grows as their number. With variances v of samples of c rays and squares of the noise v/n, the numbers n of samples are then
+/// proportional to (v/c)^½: of all numbers that take as many rays, these give a picture the least error.
+fn allowed(n_rays: f64, limit: NoiseLimit) -> f64 {
     let levels = f64::from(limit.centilevels()) / 100.0;
-    levels * levels * n_samples / f64::from(FEWEST_SAMPLES)
+    levels * levels * n_rays / RAYS_AT_LIMIT
 }
 
 #[cfg(test)]
@@ -237,27 +280,33 @@ mod tests {
     #[test]
     fn a_pixel_stops_where_its_error_is_expected_to_reach_the_limit() {
         let limit = "2".parse().unwrap();
-        let steps = |noise: f64, n_samples| n_steps(noise * noise, n_samples, limit);
+        let steps = |noise: f64, n_samples| n_steps(noise * noise, (n_samples, 2.5), limit);
         // The error falls, and the limit rises, with the root of the number of samples.
         let expected = [Some(0), Some(0), Some(1), Some(2), Some(3), None];
         assert_eq!([0.0, 2.0, 2.1, 2.6, 3.1, 3.6].map(|noise| steps(noise, 8)), expected);
         // Four times as many samples: the limit is twice as large.
         assert_eq!([3.9, 4.1].map(|noise| steps(noise, 32)), [Some(0), Some(1)]);
-        assert_eq!(n_steps(0.1, 8, "0.1".parse().unwrap()), None);
+        assert_eq!(n_steps(0.1, (8, 2.5), "0.1".parse().unwrap()), None);
+        // Samples of four times as many rays: the limit is twice as large.
+        assert_eq!([3.9, 4.1].map(|noise: f64| n_steps(noise * noise, (8, 10.0), limit)), [Some(0), Some(1)]);
     }
 
     #[test]
     fn the_noise_is_that_of_the_neighbours_in_the_tile() {
         for (row_length, n_rows) in [(8, 8), (8, 1), (1, 8), (3, 5), (1, 1)] {
-            let numbers: Vec<_> = (0..row_length * n_rows).map(|at| (at * at) as f64).collect();
-            for index in 0..numbers.len() {
+            let number = |at: usize| (at * at) as f64;
+            let of_pixel = |at| Findings { squared_noise: number(at), rays_of_sample: 1.0, ..Findings::default() };
+            let findings: Vec<_> = (0..row_length * n_rows).map(of_pixel).collect();
+            for index in 0..findings.len() {
                 let is_near = |at: usize| {
                     (at / row_length).abs_diff(index / row_length) <= 2
                         && (at % row_length).abs_diff(index % row_length) <= 2
                 };
-                let near: Vec<_> = (0..numbers.len()).filter(|&at| is_near(at)).map(|at| numbers[at]).collect();
-                let expected = near.iter().sum::<f64>() / near.len() as f64;
-                assert_eq!(mean_around(&numbers, row_length, index, 2), expected, "{row_length}x{n_rows}: {index}");
+                let near: Vec<_> = (0..findings.len()).filter(|&at| is_near(at)).map(number).collect();
+                let expected = [near.iter().sum::<f64>() / near.len() as f64, 1.0];
+                let found = Neighbours { findings: &findings, row_length, index }
+                    .mean(2, |it| [it.squared_noise, it.rays_of_sample]);
+                assert_eq!(found, expected, "{row_length}x{n_rows}: {index}");
             }
         }
     }

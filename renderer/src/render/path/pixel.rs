@@ -38,9 +38,9 @@ impl Default for PixelPaths {
 impl PixelPaths {
     /// Number of rays that each camera ray takes with what its paths share, and number that each of `n_samples` paths takes alone.
     pub(in crate::render) fn rays_of_parts(&self, n_samples: u32) -> [f64; 2] {
-        let n_sun_rays = self.sun.n_open + self.sun.n_blocked;
-        let of_camera = 1.0 + f64::from(n_sun_rays) / f64::from(self.n_camera_rays);
-        [of_camera, f64::from(self.n_other_rays - n_sun_rays) / f64::from(n_samples)]
+        let n_sun_rays = self.sun.found().iter().sum::<f64>();
+        let of_camera = 1.0 + n_sun_rays / f64::from(self.n_camera_rays);
+        [of_camera, (f64::from(self.n_other_rays) - n_sun_rays) / f64::from(n_samples)]
     }
 }
 

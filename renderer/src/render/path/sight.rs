@@ -21,9 +21,9 @@ pub(super) enum SightOf {
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::render) struct Sight {
     /// Number of rays that hit nothing.
-    pub(in crate::render) n_open: u32,
+    pub(super) n_open: u32,
     /// Number of rays that something blocks.
-    pub(in crate::render) n_blocked: u32,
+    pub(super) n_blocked: u32,
     /// The expected finding of further rays.
     pub(in crate::render) expected: Option<Expected>,
 }
@@ -32,6 +32,11 @@ impl Sight {
     /// Counts a ray's finding.
     pub(super) fn count(&mut self, is_blocked: bool) {
         *if is_blocked { &mut self.n_blocked } else { &mut self.n_open } += 1;
+    }
+
+    /// Numbers of open and of blocked rays.
+    pub(in crate::render) fn found(&self) -> [f64; 2] {
+        [self.n_open, self.n_blocked].map(f64::from)
     }
 }
 
