@@ -4,9 +4,9 @@ use std::{fmt, str::FromStr};
 
 use serde::{Deserialize, Serialize};
 
-/// A pixel of a path-traced picture whose noise is estimated to be this or less after eight samples gets no more: root of the
-/// mean square, over channels and neighbours, of the error of the mean of encoded values. It may be more after more samples,
-/// in proportion to the root of their number.
+/// A pixel of a path-traced picture whose noise is estimated to be this or less after eight samples of four rays gets no more:
+/// root of the mean square, over channels and neighbours, of the error of the mean, three parts of it from encoded values, and one
+/// from linear light. It may be more after more rays, in proportion to the root of their number.
 ///
 /// Invariant, on the wire too: at most 100 levels of the 255 that a channel has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]

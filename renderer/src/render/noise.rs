@@ -3,7 +3,7 @@
 //! The estimate is a pure function of the samples of a pixel's tile, so every render server stops at the same one. It compares
 //! the mean of the first half of the samples with that of the second, as a display would show them: both are low-discrepancy
 //! samples where their number is a power of two. Encoded values tell what the eye sees, above all in the dark; linear light, which
-//! counts as much, what is bright. A pixel whose few samples happen to agree must not stop too early, so the estimates of
+//! counts less, how much light is wrong. A pixel whose few samples happen to agree must not stop too early, so the estimates of
 //! neighbours in its tile, and its earlier ones, count as well.
 //!
 //! Rays to sun and sky are left out where those of the neighbours in the tile all found the same: see [`Expected`]. Paths share camera
@@ -36,8 +36,8 @@ use crate::render::{
 /// 64 pixels complement each other, and also find small bright features.
 const FEWEST_SAMPLES: u32 = 8;
 
-/// A pixel that needs so many rays, as the first samples of a surface in the open often take, may keep just the noise of the limit.
-const RAYS_AT_LIMIT: f64 = 20.0;
+/// A pixel that needs so many rays, as the first samples take among other surfaces, may keep just the noise of the limit.
+const RAYS_AT_LIMIT: f64 = 32.0;
 
 /// Between one estimate and the next, a pixel may stop after each of so many parts of the samples.
 const N_STEPS: u32 = 4;
@@ -208,15 +208,16 @@ fn add(sampler: &mut Sampler<'_>, tiles: &[SampleBlock<'_>], pixels: &[Pixel], e
 }
 
 /// The estimated square of a pixel's noise in levels, from two halves of its samples: the mean square, over the channels, of the
-/// error of the mean, which is half of the halves' difference. It is that of encoded values and of linear light, each to one half.
+/// error of the mean, which is half of the halves' difference; three parts of it from encoded values, and one from linear light.
 fn squared_noise(lighting: &Lighting<'_>, halves: [&LightSums; 2], at: (usize, usize)) -> f64 {
     let [a, b] = halves.map(|sums| lighting.shown(sums, at));
-    let channels = (0..3).map(|channel| [a[channel], b[channel]]);
-    let differences = channels.flat_map(|[a, b]| {
+    let squares = (0..3).map(|channel| {
+        let (a, b) = (a[channel], b[channel]);
         let encoded = f32::from(srgb::encode(a)) - f32::from(srgb::encode(b));
-        [encoded, 255.0 * (a.min(1.0) - b.min(1.0))]
+        let linear = 255.0 * (a.min(1.0) - b.min(1.0));
+        f64::from(0.75 * encoded * encoded + 0.25 * linear * linear)
     });
-    differences.map(|difference| f64::from(difference * difference)).sum::<f64>() / 24.0
+    squares.sum::<f64>() / (3.0 * 4.0)
 }
 
 /// The estimated variances of a pixel's samples, up to a factor, from two halves of them: of the light that comes with camera
@@ -280,15 +281,15 @@ mod tests {
     #[test]
     fn a_pixel_stops_where_its_error_is_expected_to_reach_the_limit() {
         let limit = "2".parse().unwrap();
-        let steps = |noise: f64, n_samples| n_steps(noise * noise, (n_samples, 2.5), limit);
+        let steps = |noise: f64, n_samples| n_steps(noise * noise, (n_samples, 4.0), limit);
         // The error falls, and the limit rises, with the root of the number of samples.
         let expected = [Some(0), Some(0), Some(1), Some(2), Some(3), None];
         assert_eq!([0.0, 2.0, 2.1, 2.6, 3.1, 3.6].map(|noise| steps(noise, 8)), expected);
         // Four times as many samples: the limit is twice as large.
         assert_eq!([3.9, 4.1].map(|noise| steps(noise, 32)), [Some(0), Some(1)]);
-        assert_eq!(n_steps(0.1, (8, 2.5), "0.1".parse().unwrap()), None);
+        assert_eq!(n_steps(0.1, (8, 4.0), "0.1".parse().unwrap()), None);
         // Samples of four times as many rays: the limit is twice as large.
-        assert_eq!([3.9, 4.1].map(|noise: f64| n_steps(noise * noise, (8, 10.0), limit)), [Some(0), Some(1)]);
+        assert_eq!([3.9, 4.1].map(|noise: f64| n_steps(noise * noise, (8, 16.0), limit)), [Some(0), Some(1)]);
     }
 
     #[test]
