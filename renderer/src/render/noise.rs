@@ -6,8 +6,8 @@
 //! counts less, how much light is wrong. A pixel whose few samples happen to agree must not stop too early, so the estimates of
 //! neighbours in its tile, and its earlier ones, count as well.
 //!
-//! Rays to sun and sky are left out where those of the neighbours in the tile all found the same: see [`Expected`]. Paths share camera
-//! rays where these bring little of the noise: see [`splitting`].
+//! Rays to sun and sky are left out where those of the neighbours in the tile all found the same: see [`Expected`]. Paths share
+//! camera rays where these bring little of the noise: see [`splitting`].
 //!
 //! Samples that are proportional to the standard deviation of a pixel's light give a picture the least error for their number;
 //! pixels of equal noise, as many as their variance asks for, are no better in that than equal numbers everywhere. And a sample that
@@ -45,8 +45,8 @@ const N_STEPS: u32 = 4;
 /// The noise of a pixel is estimated from those of its tile that are at most so far away along each side.
 const REACH: usize = 2;
 
-/// The same for what its rays to sun and sky are expected to find, and for how many paths share a camera ray. Edges are sharp, and wrong
-/// numbers only add noise, so nine pixels say enough.
+/// The same for what its rays to sun and sky are expected to find, for how many they are, and for how many paths share a camera
+/// ray. Edges are sharp, and wrong numbers only add noise, so nine pixels say enough.
 const NEAR_REACH: usize = 1;
 
 /// The limit of a frame whose pixels may stop early.
