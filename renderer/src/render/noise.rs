@@ -98,7 +98,7 @@ struct Pixel {
     end: u32,
 }
 
-/// What the samples of a pixel have shown.
+/// Estimates and findings from the samples of a pixel.
 #[derive(Clone, Copy, Default)]
 struct Findings {
     /// The estimated square of its noise in levels.
@@ -116,7 +116,7 @@ struct Findings {
 }
 
 impl Findings {
-    /// Adds what the rest of a pixel's samples have shown, after the first half of them.
+    /// Adds those of the rest of a pixel's samples, after the first half of them.
     fn update(&mut self, lighting: &Lighting<'_>, [sums, half]: [&LightSums; 2], rest: &LightSums, place: usize) {
         let (n_samples, at) = (sums.n_samples, (place / 64, place % 64));
         let squared_noise = squared_noise(lighting, [half, rest], at);

@@ -16,7 +16,7 @@ const PIXELS: usize = 64 * MOST_PACKETS;
 pub(in crate::render) struct PixelPaths {
     /// The sight of the sun from the surfaces that its camera rays hit.
     pub(in crate::render) sun: Sight,
-    /// What the rays of its paths meet that go on from there.
+    /// The same of the sky, in the directions in which its paths go on.
     pub(in crate::render) sky: Sight,
     /// Sum of the light that paths with the same camera ray share: the background's, and what the ray's surface gives off, or
     /// scatters from sun and lamp.
