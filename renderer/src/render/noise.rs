@@ -26,7 +26,7 @@ use crate::render::{
     blocks::{SampleBlock, for_each_group},
     lighting::{LightSums, Lighting},
     path::{
-        sight::Expected,
+        sight::{Expected, N_SKY_PARTS},
         splitting::{self, MOST_PATHS},
     },
     tracer::Sampler,
@@ -107,8 +107,8 @@ struct Findings {
     rays_of_sample: f64,
     /// Numbers of open and of blocked rays to the sun.
     sun_rays: [f64; 2],
-    /// The same to the sky.
-    sky_rays: [f64; 2],
+    /// The same to each part of the sky.
+    sky_rays: [[f64; 2]; N_SKY_PARTS],
     /// The estimated variances of camera rays and of paths.
     variances: [f64; 2],
     /// The rays that both take.
@@ -126,7 +126,7 @@ impl Findings {
             squared_noise: if is_first { squared_noise } else { 0.5 * (self.squared_noise + squared_noise) },
             rays_of_sample: f64::from(sums.n_rays(at) - half.n_rays(at)) / f64::from(rest.n_samples),
             sun_rays: paths.sun.found(),
-            sky_rays: paths.sky.found(),
+            sky_rays: paths.sky.map(|sight| sight.found()),
             variances: variances_of_parts([half, rest], place),
             rays_of_parts: paths.rays_of_parts(n_samples),
         };
@@ -177,7 +177,9 @@ fn sum_group(
             paths.n_paths = splitting::best_n_paths(variances, n_rays, MOST_PATHS.min(n_samples / N_STEPS));
             let (n_sun_rays, sun_rays) = (n_samples / paths.n_paths, around.mean(NEAR_REACH, |it| it.sun_rays));
             paths.sun.expected = Expected::of_sun(n_sun_rays, sun_rays);
-            paths.sky.expected = Expected::of_sky(n_samples, around.mean(NEAR_REACH, |it| it.sky_rays));
+            for (part, sight) in paths.sky.iter_mut().enumerate() {
+                sight.expected = Expected::of_sky(n_samples, around.mean(NEAR_REACH, |it| it.sky_rays[part]));
+            }
         }
         // Add samples in steps, and put aside the pixels that have enough.
         for step in 0..=N_STEPS {

@@ -39,7 +39,7 @@ use self::{
     pixel::{PixelPaths, PixelSums, Sharing},
     rays::{Contribution, NextRays, Pending},
     scattering::{ScatterSample, Scattering},
-    sight::{Expected, SightOf},
+    sight::{SightOf, sky_part},
     sobol::PixelSample,
     splitting::camera_ray,
 };
@@ -122,10 +122,6 @@ pub(super) struct Path {
     weight: Vec3,
     /// The least density with which a direction of the path was chosen, for each steradian.
     density: f32,
-    /// The expected finding of the next ray to the sun.
-    expected_sun: Option<Expected>,
-    /// The expected finding of the next ray of the path.
-    expected_sky: Option<Expected>,
 }
 
 impl Path {
@@ -252,8 +248,6 @@ impl<'a> PathTracer<'a> {
                     hit,
                     weight,
                     density: f32::INFINITY,
-                    expected_sun: found.sun.expected,
-                    expected_sky: found.sky.expected,
                 });
             }
         }
@@ -314,8 +308,7 @@ impl<'a> PathTracer<'a> {
         let (direction, of_sun) = self.sun_light(scattering, random(0));
         let sunlight = Contribution { sight: is_first.then_some(SightOf::Sun), ..path.brings(of_sun) };
         // No path ends at its first surface, so the number is free there.
-        let beyond = |expected| sunlight.beyond((expected, random(1)[1]), sums);
-        if let Some(sunlight) = path.expected_sun.map_or(Some(sunlight), beyond) {
+        if let Some((sunlight, _)) = sunlight.beyond(|| random(1)[1], sums) {
             rays.push_shadow_ray((lifted.point, direction, f32::MAX), sunlight);
         }
         // The lamp shows the model alone.
@@ -353,12 +346,10 @@ impl<'a> PathTracer<'a> {
             return;
         }
         let mut path = Path { weight: weight * (1.0 / survival), ..*path };
-        let mut escaped = path.brings(self.escaped(direction, density));
-        escaped.sight = is_first.then_some(SightOf::Sky);
-        if let Some(expected) = path.expected_sky {
-            let Some(beyond) = escaped.beyond((expected, roulette), sums) else { return };
-            (escaped, path.weight) = (beyond, path.weight * (1.0 / expected.traced_part));
-        }
+        let sight = is_first.then(|| SightOf::Sky { part: sky_part(direction) });
+        let escaped = Contribution { sight, ..path.brings(self.escaped(direction, density)) };
+        let Some((escaped, traced_part)) = escaped.beyond(|| roulette, sums) else { return };
+        path.weight *= 1.0 / traced_part;
         if is_last {
             rays.push_shadow_ray((lifted.point, direction, f32::MAX), escaped);
             return;
@@ -371,8 +362,6 @@ impl<'a> PathTracer<'a> {
                 direction,
                 sides: tangent_basis(direction).map(|side| side * width),
                 density: path.density.min(density),
-                expected_sun: None,
-                expected_sky: None,
                 ..path
             },
             contribution: escaped,

@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use super::{
     rays::Contribution,
-    sight::{Sight, SightOf},
+    sight::{Expected, N_SKY_PARTS, Sight, SightOf},
 };
 use crate::intersect::MOST_PACKETS;
 
@@ -16,8 +16,8 @@ const PIXELS: usize = 64 * MOST_PACKETS;
 pub(in crate::render) struct PixelPaths {
     /// The sight of the sun from the surfaces that its camera rays hit.
     pub(in crate::render) sun: Sight,
-    /// The same of the sky, in the directions in which its paths go on.
-    pub(in crate::render) sky: Sight,
+    /// The same of each part of the sky, in the directions in which its paths go on.
+    pub(in crate::render) sky: [Sight; N_SKY_PARTS],
     /// Sum of the light that paths with the same camera ray share: the background's, and what the ray's surface gives off, or
     /// scatters from sun and lamp.
     pub(in crate::render) shared_light: Vec3,
@@ -30,12 +30,19 @@ pub(in crate::render) struct PixelPaths {
 
 impl Default for PixelPaths {
     fn default() -> Self {
-        let (sun, sky) = (Sight::default(), Sight::default());
+        let (sun, sky) = (Sight::default(), [Sight::default(); N_SKY_PARTS]);
         Self { sun, sky, shared_light: Vec3::ZERO, n_paths: 1, n_camera_rays: 0, n_other_rays: 0 }
     }
 }
 
 impl PixelPaths {
+    fn sight(&mut self, of: SightOf) -> &mut Sight {
+        match of {
+            SightOf::Sun => &mut self.sun,
+            SightOf::Sky { part } => &mut self.sky[part],
+        }
+    }
+
     /// Number of rays that each camera ray takes with what its paths share, and number that each of `n_samples` paths takes alone.
     pub(in crate::render) fn rays_of_parts(&self, n_samples: u32) -> [f64; 2] {
         let n_sun_rays = self.sun.found().iter().sum::<f64>();
@@ -74,6 +81,11 @@ impl PixelSums<'_> {
         &mut self.pixels[sharing.first % PIXELS]
     }
 
+    /// What a ray of these paths is expected to find of a light.
+    pub(super) fn expected(&mut self, sharing: Sharing, of: SightOf) -> Option<Expected> {
+        self.paths(sharing).sight(of).expected
+    }
+
     /// Adds light to each of these paths.
     pub(super) fn add(&mut self, sharing: Sharing, light: Vec3) {
         for path in 0..sharing.n_paths {
@@ -92,10 +104,8 @@ impl PixelSums<'_> {
         }
         let paths = self.paths(sharing);
         paths.n_other_rays += 1;
-        match sight {
-            Some(SightOf::Sun) => paths.sun.count(is_blocked),
-            Some(SightOf::Sky) => paths.sky.count(is_blocked),
-            None => {}
+        if let Some(of) = sight {
+            paths.sight(of).count(is_blocked);
         }
     }
 }

@@ -22,20 +22,18 @@ pub(super) struct Contribution {
 }
 
 impl Contribution {
-    /// Adds what the ray is expected to bring. Returns what it brings besides, which is the difference if it finds otherwise, where
-    /// `random`, from 0 to 1, is below the part of such rays that is traced.
-    pub(super) fn beyond(
-        self,
-        (Expected { is_blocked, traced_part }, random): (Expected, f32),
-        sums: &mut PixelSums<'_>,
-    ) -> Option<Self> {
+    /// Adds what the ray is expected to bring, if it is known. Returns what it brings besides, which is the difference if it finds
+    /// otherwise, and the part of such rays that is traced; `None` where `random`, from 0 to 1, is not below that part.
+    pub(super) fn beyond(self, random: impl FnOnce() -> f32, sums: &mut PixelSums<'_>) -> Option<(Self, f32)> {
+        let expected = self.sight.and_then(|of| sums.expected(self.sharing, of));
+        let Some(Expected { is_blocked, traced_part }) = expected else { return Some((self, 1.0)) };
         let is_expected_to_come = self.comes_with_hit == is_blocked;
         if is_expected_to_come {
             sums.add(self.sharing, self.light);
         }
         let sign = if is_expected_to_come { -1.0 } else { 1.0 };
         let light = self.light * (sign / traced_part);
-        (random < traced_part).then_some(Self { light, comes_with_hit: !is_blocked, ..self })
+        (random() < traced_part).then_some((Self { light, comes_with_hit: !is_blocked, ..self }, traced_part))
     }
 }
 

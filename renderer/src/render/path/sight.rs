@@ -6,15 +6,28 @@
 //! by Russian roulette (Arvo and Kirk, "Particle Transport and Image Synthesis", 1990). So the mean light is right whatever is
 //! expected, as long as it is decided before; a wrong expectation only adds noise.
 //!
-//! The same holds for paths that leave the surface for the sky. Those that meet another surface go on, and light from there stands
-//! for all that were not traced.
+//! The same holds for paths that leave the surface for a part of the sky. Those that meet another surface go on, and light from
+//! there stands for all that were not traced.
+
+use glam::Vec3;
 
 /// Which light a ray is sent to, from the surface that a camera ray hits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum SightOf {
     Sun,
-    /// All directions in which the path may go on.
-    Sky,
+    /// The [part](sky_part) of the sky toward which the path goes on.
+    Sky {
+        part: usize,
+    },
+}
+
+/// Number of parts of the sky. More of them would see what stands before the sky more sharply, but fewer rays each.
+pub(in crate::render) const N_SKY_PARTS: usize = 24;
+
+/// The part of the sky that lies in a direction in world space: its octant, and the axis that it is nearest to. What stands beside
+/// a surface hides the same parts from its neighbours, wherever these face.
+pub(super) fn sky_part(direction: Vec3) -> usize {
+    direction.abs().max_position() * 8 + direction.is_negative_bitmask() as usize
 }
 
 /// A pixel's sight of a light, from the surfaces that its camera rays hit, as its rays have found it.
@@ -59,6 +72,9 @@ const LEAST_PART_OF_SUN: f32 = 0.0625;
 /// The same of paths that are expected to leave for the sky. Those that do not bring light of many kinds, and more noise.
 const LEAST_PART_OF_SKY: f32 = 0.25;
 
+/// So many of a pixel's rays toward a part of the sky, in the mean of its neighbourhood, tell what stands before it.
+const FEWEST_FOUND: f64 = 2.0;
+
 /// Of so many rays, none or one may find otherwise. With more, it takes fewer rays to trace all of them.
 const AGREEING: f64 = 256.0;
 
@@ -69,9 +85,11 @@ impl Expected {
         Self::after(n_rays, found, LEAST_PART_OF_SUN)
     }
 
-    /// The same of paths that go on from the surfaces. `None` also if they meet others: only these know the light from there.
+    /// The same of a pixel's next `n_paths` paths that go on toward a part of the sky. `None` also if they meet other surfaces, as
+    /// only these know the light from there, and if they are few.
     pub(in crate::render) fn of_sky(n_paths: u32, found: [f64; 2]) -> Option<Self> {
-        Self::after(n_paths, found, LEAST_PART_OF_SKY).filter(|expected| !expected.is_blocked)
+        let is_known = found.iter().sum::<f64>() >= FEWEST_FOUND;
+        Self::after(n_paths, found, LEAST_PART_OF_SKY).filter(|expected| is_known && !expected.is_blocked)
     }
 
     fn after(n_rays: u32, [n_open, n_blocked]: [f64; 2], least_part: f32) -> Option<Self> {
@@ -87,6 +105,15 @@ mod tests {
     use super::*;
 
     #[test]
+    fn each_part_of_the_sky_is_a_third_of_an_octant() {
+        let middle = [0, 1, 2].map(|axis| Vec3::splat(0.5) + 0.5 * Vec3::AXES[axis]);
+        let signs = |octant: usize| [0, 1, 2].map(|axis| if octant >> axis & 1 == 0 { 1.0 } else { -1.0 });
+        let directions = middle.iter().flat_map(|&middle| (0..8).map(move |octant| middle * Vec3::from(signs(octant))));
+        let parts: Vec<_> = directions.map(sky_part).collect();
+        assert_eq!(parts, (0..N_SKY_PARTS).collect::<Vec<_>>());
+    }
+
+    #[test]
     fn rays_are_expected_to_find_what_all_of_the_neighbourhood_found() {
         let pair = |Expected { is_blocked, traced_part }| (is_blocked, traced_part);
         let of_sun = |n_rays, found| Expected::of_sun(n_rays, found).map(pair);
@@ -99,6 +126,6 @@ mod tests {
 
         let of_sky = |n_paths, found| Expected::of_sky(n_paths, found).map(pair);
         assert_eq!([4, 8, 256].map(|n| of_sky(n, [70.0, 0.0])), [0.5, 0.25, 0.25].map(|part| Some((false, part))));
-        assert_eq!([[0.0, 70.0], [70.0, 1.0]].map(|found| of_sky(8, found)), [None; 2]);
+        assert_eq!([[0.0, 70.0], [70.0, 1.0], [1.5, 0.0]].map(|found| of_sky(8, found)), [None; 3]);
     }
 }

@@ -12,7 +12,11 @@ use shared::{
     scene::SceneId,
 };
 
-use super::{sight::Sight, splitting::MOST_PATHS, *};
+use super::{
+    sight::{Expected, N_SKY_PARTS, Sight},
+    splitting::MOST_PATHS,
+    *,
+};
 use crate::{
     grid::GridOptions,
     model::{
@@ -133,7 +137,7 @@ fn whatever_rays_are_expected_to_find_the_mean_light_is_the_same() {
         // two more are left out.
         let (of_sun, of_sky) = (0.4..=1.0, 1.0..=3.0);
         let sun = PixelPaths { sun: sight, ..PixelPaths::default() };
-        let sky = PixelPaths { sky: sight, ..PixelPaths::default() };
+        let sky = PixelPaths { sky: [sight; N_SKY_PARTS], ..PixelPaths::default() };
         for (paths, range) in [(sun, of_sun), (sky, of_sky)] {
             let (lights, n_rays) = lights_of(paths, &scene, &spec, n_samples, |_| ());
             let (sum, squares) = differences(&lights, &truth);
