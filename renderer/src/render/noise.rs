@@ -109,7 +109,7 @@ struct Findings {
     sun_rays: [f64; 2],
     /// The same to each part of the sky.
     sky_rays: [[f64; 2]; N_SKY_PARTS],
-    /// The estimated variances of camera rays and of paths.
+    /// The estimated variances of camera rays and of paths, up to a factor.
     variances: [f64; 2],
     /// The rays that both take.
     rays_of_parts: [f64; 2],
@@ -122,12 +122,14 @@ impl Findings {
         let squared_noise = squared_noise(lighting, [half, rest], at);
         let is_first = n_samples == FEWEST_SAMPLES;
         let paths = &sums.pixels[place];
+        // Those of sums, which double with the samples: earlier estimates count as much.
+        let variances = variances_of_parts([half, rest], place);
         *self = Self {
             squared_noise: if is_first { squared_noise } else { 0.5 * (self.squared_noise + squared_noise) },
             rays_of_sample: f64::from(sums.n_rays(at) - half.n_rays(at)) / f64::from(rest.n_samples),
             sun_rays: paths.sun.found(),
             sky_rays: paths.sky.map(|sight| sight.found()),
-            variances: variances_of_parts([half, rest], place),
+            variances: std::array::from_fn(|part| 2.0 * self.variances[part] + variances[part]),
             rays_of_parts: paths.rays_of_parts(n_samples),
         };
     }
