@@ -99,7 +99,7 @@ struct Pixel {
 }
 
 /// Estimates and findings from the samples of a pixel.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 struct Findings {
     /// The estimated square of its noise in levels.
     squared_noise: f64,
@@ -107,8 +107,8 @@ struct Findings {
     rays_of_sample: f64,
     /// Numbers of open and of blocked rays to the sun.
     sun_rays: [f64; 2],
-    /// The same to each part of the sky.
-    sky_rays: [[f64; 2]; N_SKY_PARTS],
+    /// The same to each part of the sky, one after the other: they are added up in one go.
+    sky_rays: [f64; 2 * N_SKY_PARTS],
     /// The estimated variances of camera rays and of paths, up to a factor.
     variances: [f64; 2],
     /// The rays that both take.
@@ -116,6 +116,15 @@ struct Findings {
 }
 
 impl Findings {
+    const NONE: Self = Self {
+        squared_noise: 0.0,
+        rays_of_sample: 0.0,
+        sun_rays: [0.0; 2],
+        sky_rays: [0.0; 2 * N_SKY_PARTS],
+        variances: [0.0; 2],
+        rays_of_parts: [0.0; 2],
+    };
+
     /// Adds those of the rest of a pixel's samples, after the first half of them.
     fn update(&mut self, lighting: &Lighting<'_>, [sums, half]: [&LightSums; 2], rest: &LightSums, place: usize) {
         let (n_samples, at) = (sums.n_samples, (place / 64, place % 64));
@@ -124,11 +133,13 @@ impl Findings {
         let paths = &sums.pixels[place];
         // Those of sums, which double with the samples: earlier estimates count as much.
         let variances = variances_of_parts([half, rest], place);
+        let mut sky_rays = [0.0; 2 * N_SKY_PARTS];
+        sky_rays.as_chunks_mut().0.iter_mut().zip(&paths.sky).for_each(|(found, sight)| *found = sight.found());
         *self = Self {
             squared_noise: if is_first { squared_noise } else { 0.5 * (self.squared_noise + squared_noise) },
             rays_of_sample: f64::from(sums.n_rays(at) - half.n_rays(at)) / f64::from(rest.n_samples),
             sun_rays: paths.sun.found(),
-            sky_rays: paths.sky.map(|sight| sight.found()),
+            sky_rays,
             variances: std::array::from_fn(|part| 2.0 * self.variances[part] + variances[part]),
             rays_of_parts: paths.rays_of_parts(n_samples),
         };
@@ -148,7 +159,7 @@ fn sum_group(
         lanes.map(move |index| Pixel { tile, index, end: most }).collect::<Vec<_>>()
     };
     let mut pixels: Vec<_> = tiles.iter().enumerate().flat_map(of_tile).collect();
-    let mut findings = vec![[Findings::default(); 64]; tiles.len()];
+    let mut findings = vec![[Findings::NONE; 64]; tiles.len()];
     let mut sums = sampler.lighting.no_light();
     add(sampler, tiles, &pixels, FEWEST_SAMPLES / 2, &mut sums);
     let mut half = sums.clone();
@@ -179,8 +190,9 @@ fn sum_group(
             paths.n_paths = splitting::best_n_paths(variances, n_rays, MOST_PATHS.min(n_samples / N_STEPS));
             let (n_sun_rays, sun_rays) = (n_samples / paths.n_paths, around.mean(NEAR_REACH, |it| it.sun_rays));
             paths.sun.expected = Expected::of_sun(n_sun_rays, sun_rays);
-            for (part, sight) in paths.sky.iter_mut().enumerate() {
-                sight.expected = Expected::of_sky(n_samples, around.mean(NEAR_REACH, |it| it.sky_rays[part]));
+            let sky_rays = around.mean(NEAR_REACH, |it| it.sky_rays);
+            for (sight, &found) in paths.sky.iter_mut().zip(sky_rays.as_chunks().0) {
+                sight.expected = Expected::of_sky(n_samples, found);
             }
         }
         // Add samples in steps, and put aside the pixels that have enough.
@@ -300,7 +312,7 @@ mod tests {
     fn the_noise_is_that_of_the_neighbours_in_the_tile() {
         for (row_length, n_rows) in [(8, 8), (8, 1), (1, 8), (3, 5), (1, 1)] {
             let number = |at: usize| (at * at) as f64;
-            let of_pixel = |at| Findings { squared_noise: number(at), rays_of_sample: 1.0, ..Findings::default() };
+            let of_pixel = |at| Findings { squared_noise: number(at), rays_of_sample: 1.0, ..Findings::NONE };
             let findings: Vec<_> = (0..row_length * n_rows).map(of_pixel).collect();
             for index in 0..findings.len() {
                 let is_near = |at: usize| {
