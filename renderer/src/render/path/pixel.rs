@@ -81,7 +81,7 @@ impl PixelSums<'_> {
         &mut self.pixels[sharing.first % PIXELS]
     }
 
-    /// What a ray of these paths is expected to find of a light.
+    /// The expected finding of a ray of these paths to a light.
     pub(super) fn expected(&mut self, sharing: Sharing, of: SightOf) -> Option<Expected> {
         self.paths(sharing).sight(of).expected
     }

@@ -72,7 +72,8 @@ const LEAST_PART_OF_SUN: f32 = 0.0625;
 /// The same of paths that are expected to leave for the sky. Those that do not bring light of many kinds, and more noise.
 const LEAST_PART_OF_SKY: f32 = 0.25;
 
-/// So many of a pixel's rays toward a part of the sky, in the mean of its neighbourhood, tell what stands before it.
+/// The least number of a pixel's rays toward a part of the sky, in the mean of its neighbourhood, that tells what stands before
+/// it.
 const FEWEST_FOUND: f64 = 2.0;
 
 /// Of so many rays, none or one may find otherwise. With more, it takes fewer rays to trace all of them.
