@@ -17,6 +17,7 @@ use crate::{
         path::{
             PathTracer,
             pixel::{PixelPaths, PixelSums},
+            sight::Sights,
             splitting::{MOST_PATHS, camera_ray},
             tone::ToneMapping,
         },
@@ -111,7 +112,8 @@ impl<'a> Lighting<'a> {
                 tracer.begin(blocks, samples, rays, (hits, lights), (first, &mut sums.pixels), &mut paths);
             }
             let lights = lights.as_flattened_mut().as_flattened_mut();
-            tracer.add_lights(&self.shader, paths, PixelSums { lights, pixels: &mut sums.pixels });
+            let LightSums { pixels, sights, .. } = sums;
+            tracer.add_lights(&self.shader, paths, PixelSums { lights, pixels, sights });
         } else {
             for (sample, ((directions, hits), lights)) in samples.zip(rays) {
                 let sample = self.first_sample.wrapping_add(sample);
@@ -172,6 +174,7 @@ impl<'a> Lighting<'a> {
             lights: [[Vec3::ZERO; 64]; MOST_PACKETS],
             as_it_is: vec![(Vec3::ZERO, 0); n_pixels],
             pixels: vec![PixelPaths::default(); n_pixels],
+            sights: Vec::new(),
         }
     }
 
@@ -224,7 +227,6 @@ impl<'a> Lighting<'a> {
 }
 
 /// The light of the samples of neighbouring blocks' pixels, linear.
-#[derive(Clone)]
 pub struct LightSums {
     /// Samples of each pixel.
     pub n_samples: u32,
@@ -234,6 +236,8 @@ pub struct LightSums {
     as_it_is: Vec<(Vec3, u32)>,
     /// Findings of the pixels' paths; empty in frames without paths.
     pub(super) pixels: Vec<PixelPaths>,
+    /// Only of pixels whose rays are left out where all find the same. They are larger than all else.
+    pub(super) sights: Vec<Sights>,
 }
 
 impl LightSums {
@@ -248,9 +252,16 @@ impl LightSums {
         [self.lights.as_flattened()[place] + self.as_it_is[place].0, self.pixels[place].shared_light]
     }
 
+    /// The light alone.
+    pub(super) fn light(&self) -> Self {
+        let Self { n_samples, lights, as_it_is, pixels, .. } = self;
+        let (as_it_is, pixels) = (as_it_is.clone(), pixels.clone());
+        Self { n_samples: *n_samples, lights: *lights, as_it_is, pixels, sights: Vec::new() }
+    }
+
     /// The light of the samples that are not in `others`, which are the first of them.
-    pub(super) fn without(&self, others: &Self) -> Self {
-        let mut rest = self.clone();
+    pub(super) fn light_without(&self, others: &Self) -> Self {
+        let mut rest = self.light();
         rest.n_samples -= others.n_samples;
         let lights = rest.lights.as_flattened_mut().iter_mut().zip(others.lights.as_flattened());
         lights.for_each(|(light, other)| *light -= *other);
@@ -264,16 +275,18 @@ impl LightSums {
         rest
     }
 
-    /// The light of some of the pixels, each of which has its place in all blocks.
-    pub(super) fn of_pixels(&self, places: &[usize]) -> Self {
-        let mut picked = self.clone();
-        for (to, &from) in places.iter().enumerate() {
-            picked.lights.as_flattened_mut()[to] = self.lights.as_flattened()[from];
-            if !self.as_it_is.is_empty() {
-                picked.as_it_is[to] = self.as_it_is[from];
-                picked.pixels[to] = self.pixels[from];
-            }
-        }
-        picked
+    /// Keeps the light of some of the pixels, each of which has its place in all blocks; places rise.
+    pub(super) fn keep(&mut self, places: &[usize]) {
+        keep(self.lights.as_flattened_mut(), places);
+        keep(&mut self.as_it_is, places);
+        keep(&mut self.pixels, places);
+        keep(&mut self.sights, places);
+    }
+}
+
+/// Moves the values at some places to the front. Places rise.
+fn keep<T>(values: &mut [T], places: &[usize]) {
+    if !values.is_empty() {
+        places.iter().enumerate().for_each(|(to, &from)| values.swap(to, from));
     }
 }

@@ -6,7 +6,7 @@
 //! counts less, how much light is wrong. A pixel whose few samples happen to agree must not stop too early, so the estimates of
 //! neighbours in its tile, and its earlier ones, count as well.
 //!
-//! Rays to sun and sky are left out where those of the neighbours in the tile all found the same: see [`Expected`]. Paths share
+//! Rays to sun and sky are left out where those of the neighbours in the tile all found the same: see [`Sights`]. Paths share
 //! camera rays where these bring little of the noise: see [`splitting`].
 //!
 //! Samples that are proportional to the standard deviation of a pixel's light give a picture the least error for their number;
@@ -26,7 +26,7 @@ use crate::render::{
     blocks::{SampleBlock, for_each_group},
     lighting::{LightSums, Lighting},
     path::{
-        sight::{Expected, N_SKY_PARTS},
+        sight::{N_LIGHTS, Sights},
         splitting::{self, MOST_PATHS},
     },
     tracer::Sampler,
@@ -105,10 +105,8 @@ struct Findings {
     squared_noise: f64,
     /// Rays of a sample, of the second half.
     rays_of_sample: f64,
-    /// Numbers of open and of blocked rays to the sun.
-    sun_rays: [f64; 2],
-    /// The same to each part of the sky, one after the other: they are added up in one go.
-    sky_rays: [f64; 2 * N_SKY_PARTS],
+    /// Numbers of open and of blocked rays to each light.
+    sights: [[u16; 2]; N_LIGHTS],
     /// The estimated variances of camera rays and of paths, up to a factor.
     variances: [f64; 2],
     /// The rays that both take.
@@ -119,8 +117,7 @@ impl Findings {
     const NONE: Self = Self {
         squared_noise: 0.0,
         rays_of_sample: 0.0,
-        sun_rays: [0.0; 2],
-        sky_rays: [0.0; 2 * N_SKY_PARTS],
+        sights: [[0; 2]; N_LIGHTS],
         variances: [0.0; 2],
         rays_of_parts: [0.0; 2],
     };
@@ -130,18 +127,15 @@ impl Findings {
         let (n_samples, at) = (sums.n_samples, (place / 64, place % 64));
         let squared_noise = squared_noise(lighting, [half, rest], at);
         let is_first = n_samples == FEWEST_SAMPLES;
-        let paths = &sums.pixels[place];
+        let sights = &sums.sights[place];
         // Those of sums, which double with the samples: earlier estimates count as much.
         let variances = variances_of_parts([half, rest], place);
-        let mut sky_rays = [0.0; 2 * N_SKY_PARTS];
-        sky_rays.as_chunks_mut().0.iter_mut().zip(&paths.sky).for_each(|(found, sight)| *found = sight.found());
         *self = Self {
             squared_noise: if is_first { squared_noise } else { 0.5 * (self.squared_noise + squared_noise) },
             rays_of_sample: f64::from(sums.n_rays(at) - half.n_rays(at)) / f64::from(rest.n_samples),
-            sun_rays: paths.sun.found(),
-            sky_rays,
+            sights: sights.found,
             variances: std::array::from_fn(|part| 2.0 * self.variances[part] + variances[part]),
-            rays_of_parts: paths.rays_of_parts(n_samples),
+            rays_of_parts: sums.pixels[place].rays_of_parts(n_samples, sights.n_sun_rays()),
         };
     }
 }
@@ -161,20 +155,22 @@ fn sum_group(
     let mut pixels: Vec<_> = tiles.iter().enumerate().flat_map(of_tile).collect();
     let mut findings = vec![[Findings::NONE; 64]; tiles.len()];
     let mut sums = sampler.lighting.no_light();
+    sums.sights = vec![Sights::default(); pixels.len()];
     add(sampler, tiles, &pixels, FEWEST_SAMPLES / 2, &mut sums);
-    let mut half = sums.clone();
+    let mut half = sums.light();
     add(sampler, tiles, &pixels, FEWEST_SAMPLES, &mut sums);
     while !sampler.is_unwanted() {
         let n_samples = sums.n_samples;
-        let rest = sums.without(&half);
+        let rest = sums.light_without(&half);
         // A square falls at least as fast as the number of samples rises; pixels that have enough also count as if they had more.
         findings.as_flattened_mut().iter_mut().for_each(|found| found.squared_noise *= 0.5);
         for (place, pixel) in pixels.iter().enumerate() {
             findings[pixel.tile][pixel.index].update(&sampler.lighting, [&sums, &half], &rest, place);
         }
         // Before the numbers of paths change: the next half's variances are compared with these.
-        half = sums.clone();
-        for (Pixel { tile, index, end }, paths) in pixels.iter_mut().zip(&mut sums.pixels) {
+        half = sums.light();
+        let found = sums.pixels.iter_mut().zip(&mut sums.sights);
+        for (Pixel { tile, index, end }, (paths, sights)) in pixels.iter_mut().zip(found) {
             let block = &tiles[*tile];
             let around = Neighbours {
                 findings: &findings[*tile][..block.n_samples()],
@@ -188,12 +184,7 @@ fn sum_group(
             let variances = around.mean(NEAR_REACH, |it| it.variances);
             let n_rays = around.mean(NEAR_REACH, |it| it.rays_of_parts);
             paths.n_paths = splitting::best_n_paths(variances, n_rays, MOST_PATHS.min(n_samples / N_STEPS));
-            let (n_sun_rays, sun_rays) = (n_samples / paths.n_paths, around.mean(NEAR_REACH, |it| it.sun_rays));
-            paths.sun.expected = Expected::of_sun(n_sun_rays, sun_rays);
-            let sky_rays = around.mean(NEAR_REACH, |it| it.sky_rays);
-            for (sight, &found) in paths.sky.iter_mut().zip(sky_rays.as_chunks().0) {
-                sight.expected = Expected::of_sky(n_samples, found);
-            }
+            sights.expect([n_samples / paths.n_paths, n_samples], around.sights(NEAR_REACH));
         }
         // Add samples in steps, and put aside the pixels that have enough.
         for step in 0..=N_STEPS {
@@ -208,7 +199,8 @@ fn sum_group(
                 return;
             }
             if more.len() < pixels.len() {
-                (sums, half) = (sums.of_pixels(&more), half.of_pixels(&more));
+                sums.keep(&more);
+                half.keep(&more);
                 pixels.retain(|pixel| pixel.end > end);
             }
         }
@@ -256,18 +248,34 @@ struct Neighbours<'a> {
 }
 
 impl Neighbours<'_> {
-    /// The means of some numbers over the pixels that are at most `reach` away along each side.
-    fn mean<const N: usize>(&self, reach: usize, numbers: impl Fn(&Findings) -> [f64; N]) -> [f64; N] {
+    /// The pixels that are at most `reach` away along each side, the one in the middle among them.
+    fn around(&self, reach: usize) -> impl Iterator<Item = &Findings> {
         let &Self { findings, row_length, index } = self;
         let around = |at: usize, n: usize| at.saturating_sub(reach)..(at + reach + 1).min(n);
         let columns = around(index % row_length, row_length);
         let rows = around(index / row_length, findings.len() / row_length);
-        let n = (rows.len() * columns.len()) as f64;
-        let mut sums = [0.0; N];
-        for found in rows.flat_map(|row| &findings[row * row_length..][columns.clone()]) {
+        rows.flat_map(move |row| &findings[row * row_length..][columns.clone()])
+    }
+
+    /// The means of some numbers over these pixels.
+    fn mean<const N: usize>(&self, reach: usize, numbers: impl Fn(&Findings) -> [f64; N]) -> [f64; N] {
+        let (mut sums, mut n) = ([0.0; N], 0);
+        for found in self.around(reach) {
             sums.iter_mut().zip(numbers(found)).for_each(|(sum, number)| *sum += number);
+            n += 1;
         }
-        sums.map(|sum| sum / n)
+        sums.map(|sum| sum / f64::from(n))
+    }
+
+    /// The numbers of open and of blocked rays of all these pixels to each light, and the number of pixels.
+    fn sights(&self, reach: usize) -> ([[u32; 2]; N_LIGHTS], u32) {
+        let (mut sums, mut n_pixels) = ([[0; 2]; N_LIGHTS], 0);
+        for found in self.around(reach) {
+            let counts = sums.as_flattened_mut().iter_mut().zip(found.sights.as_flattened());
+            counts.for_each(|(sum, n)| *sum += u32::from(*n));
+            n_pixels += 1;
+        }
+        (sums, n_pixels)
     }
 }
 

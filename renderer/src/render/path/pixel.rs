@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use super::{
     rays::Contribution,
-    sight::{Expected, N_SKY_PARTS, Sight, SightOf},
+    sight::{Expected, SightOf, Sights},
 };
 use crate::intersect::MOST_PACKETS;
 
@@ -14,10 +14,6 @@ const PIXELS: usize = 64 * MOST_PACKETS;
 /// Findings of a pixel's paths, and how its next are traced.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::render) struct PixelPaths {
-    /// The sight of the sun from the surfaces that its camera rays hit.
-    pub(in crate::render) sun: Sight,
-    /// The same of each part of the sky, in the directions in which its paths go on.
-    pub(in crate::render) sky: [Sight; N_SKY_PARTS],
     /// Sum of the light that paths with the same camera ray share: the background's, and what the ray's surface gives off, or
     /// scatters from sun and lamp.
     pub(in crate::render) shared_light: Vec3,
@@ -30,24 +26,16 @@ pub(in crate::render) struct PixelPaths {
 
 impl Default for PixelPaths {
     fn default() -> Self {
-        let (sun, sky) = (Sight::default(), [Sight::default(); N_SKY_PARTS]);
-        Self { sun, sky, shared_light: Vec3::ZERO, n_paths: 1, n_camera_rays: 0, n_other_rays: 0 }
+        Self { shared_light: Vec3::ZERO, n_paths: 1, n_camera_rays: 0, n_other_rays: 0 }
     }
 }
 
 impl PixelPaths {
-    fn sight(&mut self, of: SightOf) -> &mut Sight {
-        match of {
-            SightOf::Sun => &mut self.sun,
-            SightOf::Sky { part } => &mut self.sky[part],
-        }
-    }
-
-    /// Number of rays that each camera ray takes with what its paths share, and number that each of `n_samples` paths takes alone.
-    pub(in crate::render) fn rays_of_parts(&self, n_samples: u32) -> [f64; 2] {
-        let n_sun_rays = self.sun.found().iter().sum::<f64>();
-        let of_camera = 1.0 + n_sun_rays / f64::from(self.n_camera_rays);
-        [of_camera, (f64::from(self.n_other_rays) - n_sun_rays) / f64::from(n_samples)]
+    /// Number of rays that each camera ray takes with what its paths share, and number that each of `n_samples` paths takes alone;
+    /// so many of all rays go to the sun from surfaces that camera rays hit.
+    pub(in crate::render) fn rays_of_parts(&self, n_samples: u32, n_sun_rays: u16) -> [f64; 2] {
+        let of_camera = 1.0 + f64::from(n_sun_rays) / f64::from(self.n_camera_rays);
+        [of_camera, (f64::from(self.n_other_rays) - f64::from(n_sun_rays)) / f64::from(n_samples)]
     }
 }
 
@@ -73,6 +61,8 @@ pub(in crate::render) struct PixelSums<'a> {
     pub(in crate::render) lights: &'a mut [Vec3],
     /// Of all samples.
     pub(in crate::render) pixels: &'a mut [PixelPaths],
+    /// Empty where nobody asks for them.
+    pub(in crate::render) sights: &'a mut [Sights],
 }
 
 impl PixelSums<'_> {
@@ -82,8 +72,8 @@ impl PixelSums<'_> {
     }
 
     /// The expected finding of a ray of these paths to a light.
-    pub(super) fn expected(&mut self, sharing: Sharing, of: SightOf) -> Option<Expected> {
-        self.paths(sharing).sight(of).expected
+    pub(super) fn expected(&self, sharing: Sharing, of: SightOf) -> Option<Expected> {
+        self.sights.get(sharing.first % PIXELS)?.expected(of)
     }
 
     /// Adds light to each of these paths.
@@ -102,10 +92,9 @@ impl PixelSums<'_> {
         if comes_with_hit == is_blocked {
             self.add(sharing, light);
         }
-        let paths = self.paths(sharing);
-        paths.n_other_rays += 1;
-        if let Some(of) = sight {
-            paths.sight(of).count(is_blocked);
+        self.paths(sharing).n_other_rays += 1;
+        if let (Some(of), Some(sights)) = (sight, self.sights.get_mut(sharing.first % PIXELS)) {
+            sights.count(of, is_blocked);
         }
     }
 }

@@ -13,7 +13,7 @@ use shared::{
 };
 
 use super::{
-    sight::{Expected, N_SKY_PARTS, Sight},
+    sight::{Expected, N_LIGHTS, Sights},
     splitting::MOST_PATHS,
     *,
 };
@@ -79,12 +79,12 @@ pub(super) fn lights(
     n_samples: u32,
     set: impl Fn(&mut PathTracer<'_>),
 ) -> Vec<(Hit, DVec3, DVec3)> {
-    lights_of(PixelPaths::default(), scene, spec, n_samples, set).0
+    lights_of((PixelPaths::default(), Sights::default()), scene, spec, n_samples, set).0
 }
 
 /// The same if all pixels' paths are traced like this; and the number of rays.
 fn lights_of(
-    paths_of_all: PixelPaths,
+    (paths_of_all, sights_of_all): (PixelPaths, Sights),
     scene: &Scene,
     spec: &FrameSpec,
     n_samples: u32,
@@ -101,7 +101,7 @@ fn lights_of(
         directions.iter_mut().zip(samples.iter()).for_each(|(to, (i, j))| *to = rays.direction(i, j));
         let hits = directions.map(|direction| scene.grid.intersect(&Ray::new(rays.eye, direction)));
         let blocks = [SampleBlock::Unit { samples, first_index: 0 }];
-        let mut pixels = [paths_of_all; 64];
+        let (mut pixels, mut sights) = ([paths_of_all; 64], vec![sights_of_all.clone(); 64]);
         let (mut sums, n_at_once) = ([Vec3::ZERO; 64], n_samples.min(MOST_PATHS));
         for start in (n_samples..2 * n_samples).step_by(n_at_once as usize) {
             let (mut paths, mut lights) = (Vec::new(), vec![Vec3::ZERO; 256 * n_at_once as usize]);
@@ -110,7 +110,8 @@ fn lights_of(
                 let hits = (&[hits][..], &[[Vec3::ZERO; 64]][..]);
                 tracer.begin(&blocks, samples, rays, hits, (first, &mut pixels), &mut paths);
             }
-            tracer.add_lights(&shader, paths, PixelSums { lights: &mut lights, pixels: &mut pixels });
+            let found = PixelSums { lights: &mut lights, pixels: &mut pixels, sights: &mut sights };
+            tracer.add_lights(&shader, paths, found);
             lights.iter().zip((0..256).cycle()).filter(|(_, at)| *at < 64).for_each(|(light, at)| sums[at] += *light);
         }
         n_rays += pixels.iter().map(|pixel| pixel.n_camera_rays + pixel.n_other_rays).sum::<u32>();
@@ -129,17 +130,16 @@ fn whatever_rays_are_expected_to_find_the_mean_light_is_the_same() {
     let scene = build(statue::generate(3000, &|_| ()));
     let spec = spec(DVec3::new(0.6, 1.5, 3.0), DVec3::Y * 1.4, 1);
     let n_samples = 256;
-    let (truth, all_rays) = lights_of(PixelPaths::default(), &scene, &spec, n_samples, |_| ());
+    let (truth, all_rays) = lights_of((PixelPaths::default(), Sights::default()), &scene, &spec, n_samples, |_| ());
     for (is_blocked, traced_part) in [(false, 0.5), (true, 0.5), (false, 0.125), (true, 0.125), (true, 1.0)] {
         let expected = Some(Expected { is_blocked, traced_part });
-        let sight = Sight { expected, ..Sight::default() };
         // Of each path. Some surfaces face away from the sun, and send it no ray; where the path would have met another surface,
         // two more are left out.
         let (of_sun, of_sky) = (0.4..=1.0, 1.0..=3.0);
-        let sun = PixelPaths { sun: sight, ..PixelPaths::default() };
-        let sky = PixelPaths { sky: [sight; N_SKY_PARTS], ..PixelPaths::default() };
-        for (paths, range) in [(sun, of_sun), (sky, of_sky)] {
-            let (lights, n_rays) = lights_of(paths, &scene, &spec, n_samples, |_| ());
+        for (lights, range) in [(0..1, of_sun), (1..N_LIGHTS, of_sky)] {
+            let mut sights = Sights::default();
+            sights.expected[lights].fill(expected);
+            let (lights, n_rays) = lights_of((PixelPaths::default(), sights), &scene, &spec, n_samples, |_| ());
             let (sum, squares) = differences(&lights, &truth);
             let left_out = f64::from(all_rays - n_rays) / f64::from(n_samples * lights.len() as u32);
             assert!(sum.abs() <= 4.0 * f64::sqrt(squares) + 1e-6, "{expected:?}: {sum} of {}", f64::sqrt(squares));
@@ -157,10 +157,10 @@ fn however_many_paths_share_a_camera_ray_the_mean_light_is_the_same() {
     let scene = build(statue::generate(3000, &|_| ()));
     let spec = spec(DVec3::new(0.6, 1.5, 3.0), DVec3::Y * 1.4, 1);
     let n_samples = 256;
-    let (truth, all_rays) = lights_of(PixelPaths::default(), &scene, &spec, n_samples, |_| ());
+    let (truth, all_rays) = lights_of((PixelPaths::default(), Sights::default()), &scene, &spec, n_samples, |_| ());
     for n_paths in [2, 4] {
         let paths = PixelPaths { n_paths, ..PixelPaths::default() };
-        let (lights, n_rays) = lights_of(paths, &scene, &spec, n_samples, |_| ());
+        let (lights, n_rays) = lights_of((paths, Sights::default()), &scene, &spec, n_samples, |_| ());
         let (sum, squares) = differences(&lights, &truth);
         assert!(sum != 0.0 && sum.abs() <= 4.0 * f64::sqrt(squares), "{n_paths}: {sum} of {}", f64::sqrt(squares));
         // Of the pixels that show the model, and of the others.
