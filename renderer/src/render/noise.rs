@@ -49,6 +49,9 @@ const REACH: usize = 2;
 /// ray. Edges are sharp, and wrong numbers only add noise, so nine pixels say enough.
 const NEAR_REACH: usize = 1;
 
+/// From so many samples on, a pixel has three estimates, and nine pixels say enough of the noise too.
+const ENOUGH_FOR_NEAR: u32 = 32;
+
 /// The limit of a frame whose pixels may stop early.
 pub(super) fn of_frame(spec: &FrameSpec) -> Option<NoiseLimit> {
     let may_stop = spec.view == ShadingMode::Shaded
@@ -177,7 +180,8 @@ fn sum_group(
                 row_length: block.row_length(),
                 index: *index,
             };
-            let [squared_noise] = around.mean(REACH, |it| [it.squared_noise]);
+            let reach = if n_samples < ENOUGH_FOR_NEAR { REACH } else { NEAR_REACH };
+            let [squared_noise] = around.mean(reach, |it| [it.squared_noise]);
             let [rays_of_sample] = around.mean(NEAR_REACH, |it| [it.rays_of_sample]);
             let steps = n_steps(squared_noise, (n_samples, rays_of_sample), limit);
             *end = steps.map_or(most, |steps| most.min(n_samples + steps * (n_samples / N_STEPS)));
