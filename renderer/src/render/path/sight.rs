@@ -46,7 +46,7 @@ impl SightOf {
 /// A pixel's sight of the lights, from the surfaces that its camera rays hit, as its rays have found it.
 #[derive(Clone, Debug, Default)]
 pub(in crate::render) struct Sights {
-    /// Numbers of open and of blocked rays to each light.
+    /// Numbers of open and of blocked rays to each light, at most one a sample.
     pub(in crate::render) found: [[u16; 2]; N_LIGHTS],
     /// The expected finding of further rays to each light.
     pub(super) expected: [Option<Expected>; N_LIGHTS],
