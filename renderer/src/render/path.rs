@@ -177,6 +177,22 @@ impl WideRays for PathRays<'_> {
     }
 }
 
+/// A point on a surface that a path has hit.
+struct PathVertex {
+    lifted: LiftedPoint,
+    scattering: Scattering,
+    /// Number of surfaces that the path hit before.
+    bounce: u8,
+}
+
+impl PathVertex {
+    /// Two numbers from 0 to 1 of a path's sample; each bounce has [`DIMENSIONS`] pairs.
+    #[inline(always)]
+    fn random(&self, path: &Path, number: u32) -> [f32; 2] {
+        path.sample.pair(DIMENSIONS * u32::from(self.bounce) + number)
+    }
+}
+
 impl<'a> PathTracer<'a> {
     /// Prepares for one frame of a scene that a plane may cut open.
     pub(super) fn new(scene: &'a Scene, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
@@ -277,14 +293,14 @@ impl<'a> PathTracer<'a> {
                     let Some(ground) = &self.ground else { continue };
                     let Some(lifted) = ground.point(path.origin, path.direction) else { continue };
                     let scattering = Scattering::matte(&ground.surface(path.direction));
-                    self.scatter(path, &lifted, &scattering, bounce, &mut next, sums);
+                    self.scatter(path, &PathVertex { lifted, scattering, bounce }, &mut next, sums);
                     continue;
                 }
                 let surface = batch.surfaces[index].unwrap_or_else(|| shader.cap(path.direction));
                 let Some(lifted) = self.lift.point(path.origin, path.direction, path.hit) else { continue };
                 let material = batch.materials[index].as_ref();
                 let Some(scattering) = Self::scattering(path, &surface, material, sums) else { continue };
-                self.scatter(path, &lifted, &scattering, bounce, &mut next, sums);
+                self.scatter(path, &PathVertex { lifted, scattering, bounce }, &mut next, sums);
             }
         }
         let NextRays { shadow_rays, contributions, pending } = next;
@@ -294,21 +310,13 @@ impl<'a> PathTracer<'a> {
 
     /// Sends rays to the lights from a surface that a path has hit, and one to each path's next surface.
     #[inline(always)]
-    fn scatter(
-        &self,
-        path: &Path,
-        lifted: &LiftedPoint,
-        scattering: &Scattering,
-        bounce: u8,
-        rays: &mut NextRays,
-        sums: &mut PixelSums<'_>,
-    ) {
-        let random = |number: u32| path.sample.pair(DIMENSIONS * u32::from(bounce) + number);
-        let is_first = bounce == 0;
-        let (direction, of_sun) = self.sun_light(scattering, random(0));
+    fn scatter(&self, path: &Path, vertex: &PathVertex, rays: &mut NextRays, sums: &mut PixelSums<'_>) {
+        let PathVertex { lifted, scattering, bounce } = vertex;
+        let is_first = *bounce == 0;
+        let (direction, of_sun) = self.sun_light(scattering, vertex.random(path, 0));
         let sunlight = Contribution { sight: is_first.then_some(SightOf::Sun), ..path.brings(of_sun) };
         // No path ends at its first surface, so the number is free there.
-        if let Some((sunlight, _)) = sunlight.beyond(|| random(1)[1], sums) {
+        if let Some((sunlight, _)) = sunlight.beyond(|| vertex.random(path, 1)[1], sums) {
             rays.push_shadow_ray((lifted.point, direction, f32::MAX), sunlight);
         }
         // The lamp shows the model alone.
@@ -319,25 +327,17 @@ impl<'a> PathTracer<'a> {
             rays.push_shadow_ray(ray, path.brings(part * light));
         }
         for number in 0..path.sharing.n_paths {
-            self.follow_on(&path.alone(number), lifted, scattering, bounce, rays, sums);
+            self.follow_on(&path.alone(number), vertex, rays, sums);
         }
     }
 
     /// Sends a ray to a path's next surface; the less light it brings, the more often the path ends (Russian roulette).
     #[inline(always)]
-    fn follow_on(
-        &self,
-        path: &Path,
-        lifted: &LiftedPoint,
-        scattering: &Scattering,
-        bounce: u8,
-        rays: &mut NextRays,
-        sums: &mut PixelSums<'_>,
-    ) {
-        let (is_first, is_last) = (bounce == 0, bounce == self.bounces);
-        let random = |number: u32| path.sample.pair(DIMENSIONS * u32::from(bounce) + number);
-        let [choice, roulette] = random(1);
-        let Some(next) = scattering.sample(choice, random(2)) else { return };
+    fn follow_on(&self, path: &Path, vertex: &PathVertex, rays: &mut NextRays, sums: &mut PixelSums<'_>) {
+        let PathVertex { lifted, scattering, bounce } = vertex;
+        let (is_first, is_last) = (*bounce == 0, *bounce == self.bounces);
+        let [choice, roulette] = vertex.random(path, 1);
+        let Some(next) = scattering.sample(choice, vertex.random(path, 2)) else { return };
         let ScatterSample { direction, is_diffuse, density, .. } = next;
         let weight = path.weight * next.weight;
         let bright = weight.max_element() * (1.0 / ROULETTE_WEIGHT);
