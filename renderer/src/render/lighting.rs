@@ -252,7 +252,7 @@ impl LightSums {
         [self.lights.as_flattened()[place] + self.as_it_is[place].0, self.pixels[place].shared_light]
     }
 
-    /// The light alone.
+    /// The same without sights.
     pub(super) fn light(&self) -> Self {
         let Self { n_samples, lights, as_it_is, pixels, .. } = self;
         let (as_it_is, pixels) = (as_it_is.clone(), pixels.clone());
@@ -275,7 +275,7 @@ impl LightSums {
         rest
     }
 
-    /// Keeps the light of some of the pixels, each of which has its place in all blocks; places rise.
+    /// Keeps the light of the pixels at some places in all blocks, which are in rising order.
     pub(super) fn keep(&mut self, places: &[usize]) {
         keep(self.lights.as_flattened_mut(), places);
         keep(&mut self.as_it_is, places);
@@ -284,7 +284,7 @@ impl LightSums {
     }
 }
 
-/// Moves the values at some places to the front. Places rise.
+/// Moves the values at some places, in rising order, to the front.
 fn keep<T>(values: &mut [T], places: &[usize]) {
     if !values.is_empty() {
         places.iter().enumerate().for_each(|(to, &from)| values.swap(to, from));

@@ -22,7 +22,7 @@ pub(super) enum SightOf {
 }
 
 /// Number of parts of the sky. More of them would see what stands before the sky more sharply, but fewer rays each.
-pub(in crate::render) const N_SKY_PARTS: usize = 24;
+const N_SKY_PARTS: usize = 24;
 
 /// The part of the sky that lies in a direction in world space: its octant, and the axis that it is nearest to. What stands beside
 /// a surface hides the same parts from its neighbours, wherever these face.
@@ -85,7 +85,7 @@ impl Sights {
 
 /// The expected finding of a pixel's next rays to a light.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::render) struct Expected {
+pub(super) struct Expected {
     /// Whether something blocks them.
     pub(super) is_blocked: bool,
     /// The part of them that is traced, above 0.
