@@ -20,9 +20,10 @@ use serde::{Deserialize, Serialize};
 use crate::{
     grid::{cells::CellSpace, figures::GridStats, traced::TracedMesh},
     scene_file::section::Section,
+    simd::Simd,
 };
 use boxes::{LeafCube, QuantizedBoxes};
-use hierarchy::{Bounds, Hierarchy};
+use hierarchy::{Bounds, Entry, Hierarchy};
 use items::Items;
 
 /// Cells of the paper's resolution along a brick.
@@ -33,6 +34,10 @@ pub(crate) const LEVELS: u32 = 5;
 
 /// Finest cells along a brick.
 pub(crate) const BRICK_SIZE: u32 = 1 << (2 * LEVELS);
+
+/// So many bytes stay in a processor's caches, and hints cost a tenth of the time of single rays; where there are more, they
+/// save up to a quarter.
+const CACHED_BYTES: usize = 20 << 20;
 
 /// Bricks, nodes and leaves, and the triangles of each leaf.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
@@ -96,6 +101,22 @@ impl Tree {
     pub(crate) fn items_of(&self, leaf: u32) -> Range<usize> {
         let leaf = leaf as usize;
         self.leaf_starts[leaf] as usize..self.leaf_starts[leaf + 1] as usize
+    }
+
+    /// Hints that the node or leaf of an entry of the hierarchy will be read soon.
+    #[inline(always)]
+    pub(crate) fn prefetch<S: Simd>(&self, entry: Entry) {
+        self.hierarchy.prefetch::<S>(entry);
+        if self.hierarchy.triangle_nodes.is_empty() {
+            let leaf = (entry & !hierarchy::LEAF) as usize;
+            S::prefetch(&self.leaf_starts, leaf);
+            S::prefetch(&self.leaf_cubes, leaf);
+        }
+    }
+
+    /// Whether single rays read more of it than stays in a processor's caches.
+    pub(crate) fn exceeds_caches(&self) -> bool {
+        self.hierarchy.n_bytes() + self.boxes.n_bytes() > CACHED_BYTES
     }
 
     /// Number of items of all leaves.

@@ -297,8 +297,7 @@ impl<'a> Bundle<'a> {
                     triangles[n_triangles % CHILDREN] = (child, rays);
                     n_triangles += 1;
                 } else {
-                    let nodes = if child & LEAF != 0 { triangle_nodes } else { nodes };
-                    nodes[(child & !LEAF) as usize].prefetch::<S>();
+                    self.tree.hierarchy.prefetch::<S>(child);
                     stack[n_stack % N_STACK] = (child, rays);
                     n_stack += 1;
                 }

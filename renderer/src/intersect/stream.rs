@@ -236,12 +236,16 @@ pub(super) struct RayStream<'a, F, const ANY: bool> {
     answer: F,
     /// The next ray to begin.
     next_ray: usize,
+    /// Whether to hint at what rays enter next.
+    hints: bool,
     state: Box<State>,
 }
 
 impl<'a, F: FnMut(usize, Nearest), const ANY: bool> RayStream<'a, F, ANY> {
     pub(super) fn new(grid: &'a Grid, tree: &'a Tree, rays: &'a [Ray], answer: F) -> Self {
-        Self { grid, tree, rays, answer, next_ray: 0, state: STATE.take().unwrap_or_else(State::new) }
+        // Rays of which any hit counts take 0.95 to 1.1 of the time with hints.
+        let hints = !ANY && tree.exceeds_caches();
+        Self { grid, tree, rays, answer, next_ray: 0, hints, state: STATE.take().unwrap_or_else(State::new) }
     }
 }
 
@@ -286,7 +290,8 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> Kernel for RayStream<'_, F, ANY>
                 let node = &self.tree.hierarchy.nodes[self.state.entries[slot_idx] as usize];
                 let descent = &mut self.state.slots[slot_idx].descent;
                 descent.enter_node::<S, ANY>(node);
-                self.state.entries[slot_idx] = descent.next::<ANY>();
+                let next = descent.next::<ANY>();
+                self.set_entry::<S>(slot_idx, next);
             }
             self.visit_leaves::<S>(at_leaves.as_slice());
         }
@@ -347,12 +352,22 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
         for &slot in slots {
             let slot_idx = slot as usize % N_SLOTS;
             let Slot { descent, nearest, .. } = &mut self.state.slots[slot_idx];
-            self.state.entries[slot_idx] = if ANY && nearest.is_hit() {
+            let next = if ANY && nearest.is_hit() {
                 NONE
             } else {
                 descent.shorten(nearest.t);
                 descent.next::<ANY>()
             };
+            self.set_entry::<S>(slot_idx, next);
+        }
+    }
+
+    /// Sets the node or leaf that a slot's ray enters next. Other slots' steps come before it, while memory delivers it.
+    #[inline(always)]
+    fn set_entry<S: Simd>(&mut self, slot_idx: usize, next: Entry) {
+        self.state.entries[slot_idx] = next;
+        if self.hints {
+            self.tree.prefetch::<S>(next);
         }
     }
 
@@ -373,6 +388,10 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
     /// Collects the triangles of a tree's leaves whose boxes the rays pass.
     #[inline(always)]
     fn collect_groups<S: Simd>(&mut self, slots: &[u32]) {
+        for &slot in slots {
+            let leaf = self.state.entries[slot as usize % N_SLOTS] & !LEAF;
+            self.tree.boxes.prefetch_bounds::<S>(leaf, self.tree.items_of(leaf));
+        }
         // A leaf's groups are collected sixteen at a time, and tested when many are.
         let (mut next, mut first) = (0, 0);
         while next < slots.len() {
@@ -401,6 +420,11 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
     /// Tests the boxes of all groups.
     #[inline(always)]
     fn test_groups<S: Simd>(&mut self) {
+        let Groups { pairs, .. } = &self.state.groups;
+        for (&slot, &group) in pairs.slots.iter().zip(&pairs.indices).take(pairs.n) {
+            let first = self.state.slots[slot as usize % N_SLOTS].items[0] as usize + group as usize * GROUP;
+            self.tree.boxes.prefetch_group::<S>(first);
+        }
         for index in 0..std::mem::take(&mut self.state.groups.pairs.n) {
             let slot_idx = self.state.groups.pairs.slots[index];
             let slot = &mut self.state.slots[slot_idx as usize];
@@ -451,7 +475,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
         let triangles: &[u32; 16] =
             self.state.triangles.indices[first..first + 16].try_into().expect("sixteen triangles");
         let slots: &[u32; 16] = self.state.triangles.slots[first..first + 16].try_into().expect("sixteen slots");
-        // By index: an array's iterator would copy all of it, which took a tenth of the time.
+        // By index: an array's iterator copies all of it.
         let (points, mut corners) = (mesh.gather_corners::<S>(triangles), [[[0.0; 16]; 3]; 3]);
         for corner in 0..3 {
             for axis in 0..3 {

@@ -240,6 +240,15 @@ impl QuantizedBoxes {
         Bounds::new(position(low), position(high))
     }
 
+    /// Hints that the bounds of a leaf's first groups will be read soon.
+    #[inline(always)]
+    pub(crate) fn prefetch_bounds<S: Simd>(&self, leaf: u32, items: Range<usize>) {
+        let first = 6 * first_group(leaf, items.start);
+        S::prefetch(&self.group_bytes, first);
+        S::prefetch(&self.group_bytes, first + 63);
+    }
+
+    /// Hints that the boxes of these items will be read soon.
     #[inline(always)]
     pub(crate) fn prefetch<S: Simd>(&self, items: Range<usize>) {
         let mut at = 3 * items.start;
@@ -247,6 +256,13 @@ impl QuantizedBoxes {
             S::prefetch(&self.bytes, at);
             at += 64;
         }
+    }
+
+    /// Hints that the boxes of a group from this item on will be read soon.
+    #[inline(always)]
+    pub(crate) fn prefetch_group<S: Simd>(&self, first: usize) {
+        S::prefetch(&self.bytes, 3 * first);
+        S::prefetch(&self.bytes, 3 * (first + GROUP) - 1);
     }
 
     /// The boxes of a group of `n` items from `first` on.

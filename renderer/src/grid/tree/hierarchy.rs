@@ -122,6 +122,17 @@ impl Hierarchy {
         is_faster && n_triangles as u64 * BYTES_PER_TRIANGLE <= n_bytes_left
     }
 
+    /// Hints that the node of an entry will be read soon. Nothing is checked: a hint may lead anywhere.
+    #[inline(always)]
+    pub(crate) fn prefetch<S: Simd>(&self, entry: Entry) {
+        const ROWS: usize = size_of::<HierarchyNode>() / size_of::<[f32; CHILDREN]>();
+        let nodes = if entry & LEAF == 0 { &self.nodes } else { &self.triangle_nodes };
+        let rows: &[[f32; CHILDREN]] = bytemuck::cast_slice(nodes);
+        for row in 0..ROWS {
+            S::prefetch(rows, ROWS * (entry & !LEAF) as usize + row);
+        }
+    }
+
     pub(crate) fn n_bytes(&self) -> usize {
         size_of_val(&*self.nodes) + size_of_val(&*self.triangle_nodes)
     }
@@ -194,13 +205,6 @@ impl HierarchyNode {
         let (low, high) = ([f32::INFINITY; CHILDREN], [f32::NEG_INFINITY; CHILDREN]);
         Self { sides: [low, high, low, high, low, high], children: [NONE; CHILDREN] }
     };
-
-    /// Hints that this node will be read soon.
-    #[inline(always)]
-    pub(crate) fn prefetch<S: Simd>(&self) {
-        self.sides.iter().for_each(|row| S::prefetch(row, 0));
-        S::prefetch(&self.children, 0);
-    }
 
     /// Whether no ray passes the box of a slot.
     pub(super) fn is_empty_at(&self, slot: usize) -> bool {
