@@ -3,7 +3,13 @@
 use glam::{DVec3, Vec3};
 use shared::appearance::ClipPlane;
 
-use crate::{grid::traced::TracedMesh, intersect::ray::Hit};
+use crate::{
+    grid::traced::TracedMesh,
+    intersect::ray::Hit,
+    render::surface::{N, TriangleHits, get, set},
+    simd::{InstructionSet, Kernel, Simd},
+    texture::footprint::WideRays,
+};
 
 /// Lifts hits off the surfaces of a scene that a plane may cut open.
 pub(super) struct Lift<'a> {
@@ -14,6 +20,7 @@ pub(super) struct Lift<'a> {
 }
 
 /// The start of secondary rays.
+#[derive(Clone, Copy)]
 pub(super) struct LiftedPoint {
     /// The hit point, lifted off the surface; model space.
     pub(super) point: DVec3,
@@ -40,12 +47,93 @@ impl<'a> Lift<'a> {
             Some(ClipPlane { normal, offset }) if hit.is_cap() => (normal * offset, normal),
             _ => (Vec3::from_array(self.mesh.corners(hit.triangle)[0]).as_dvec3(), self.mesh.normal(hit.triangle)),
         };
+        self.on_plane(origin, direction, (a, normal)).if_finite()
+    }
+
+    /// [`Lift::point`] of up to 64 hits, by their number.
+    pub(super) fn points(
+        &self,
+        instructions: InstructionSet,
+        rays: impl WideRays,
+        hits: &[Hit],
+        points: &mut [Option<LiftedPoint>; 64],
+    ) {
+        // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
+        unsafe { instructions.call(LiftedPoints { lift: self, rays, hits, points }) }
+        for (number, &hit) in hits.iter().enumerate().filter(|(_, hit)| hit.is_cap()) {
+            points[number] = self.point(rays.origin(number).as_dvec3(), rays.direction(number), hit);
+        }
+    }
+
+    /// The point where a ray meets a plane, which has a point and a normal of any length.
+    #[inline(always)]
+    fn on_plane(&self, origin: DVec3, direction: Vec3, (on_plane, normal): (DVec3, DVec3)) -> LiftedPoint {
         let direction = direction.as_dvec3();
         let length = normal.length();
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal } * (1.0 / length);
         // Recompute t from the triangle's plane: single precision is too coarse for an eye far away.
-        let t = normal.dot(a - origin) / normal.dot(direction);
-        let point = origin + direction * t + normal * self.ray_offset;
-        (length > 0.0 && point.is_finite() && normal.is_finite()).then_some(LiftedPoint { point, normal })
+        let t = normal.dot(on_plane - origin) / normal.dot(direction);
+        LiftedPoint { point: origin + direction * t + normal * self.ray_offset, normal }
+    }
+}
+
+impl LiftedPoint {
+    /// A normal without a length gives no number.
+    fn if_finite(self) -> Option<Self> {
+        (self.point.is_finite() && self.normal.is_finite()).then_some(self)
+    }
+}
+
+/// Lifts hits of triangles, many at once: loops over arrays, which the compiler turns into vector instructions.
+struct LiftedPoints<'a, R> {
+    lift: &'a Lift<'a>,
+    rays: R,
+    hits: &'a [Hit],
+    points: &'a mut [Option<LiftedPoint>; 64],
+}
+
+impl<R: WideRays> Kernel for LiftedPoints<'_, R> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self) {
+        let Self { lift, rays, hits, points } = self;
+        points[..hits.len()].fill(None);
+        for (of_lanes, n) in TriangleHits::of(hits).lanes() {
+            // Gather the rays, and the triangles that they hit.
+            let mut triangles = [0; N];
+            let [mut origins, mut directions] = [[[0.0; N]; 3]; 2];
+            for (lane, &number) in of_lanes.iter().enumerate() {
+                triangles[lane] = hits[number].triangle;
+                set(&mut origins, lane, rays.origin(number));
+                set(&mut directions, lane, rays.direction(number));
+            }
+            let mut corners = [[[0.0; N]; 3]; 3];
+            for first in (0..N).step_by(S::LANES) {
+                let mut next = [0; 16];
+                next[..S::LANES].copy_from_slice(&triangles[first..first + S::LANES]);
+                let gathered = lift.mesh.gather_corners::<S>(&next);
+                for (gathered, corner) in gathered.iter().zip(&mut corners) {
+                    gathered.iter().zip(corner).for_each(|(along, lanes)| along.store(&mut lanes[first..]));
+                }
+            }
+
+            // Lift all of them, and keep those that have a normal.
+            let [mut lifted, mut normals] = [[[0.0; N]; 3]; 2];
+            for lane in 0..N {
+                let [a, b, c] = [get(&corners[0], lane), get(&corners[1], lane), get(&corners[2], lane)];
+                let [a, b, c] = [a.as_dvec3(), b.as_dvec3(), c.as_dvec3()];
+                let origin = get(&origins, lane).as_dvec3();
+                let LiftedPoint { point, normal } =
+                    lift.on_plane(origin, get(&directions, lane), (a, (b - a).cross(c - a)));
+                for axis in 0..3 {
+                    (lifted[axis][lane], normals[axis][lane]) = (point[axis], normal[axis]);
+                }
+            }
+            for (lane, &number) in of_lanes.iter().enumerate().take(n) {
+                let vector = |[x, y, z]: &[[f64; N]; 3]| DVec3::new(x[lane], y[lane], z[lane]);
+                points[number] = LiftedPoint { point: vector(&lifted), normal: vector(&normals) }.if_finite();
+            }
+        }
     }
 }

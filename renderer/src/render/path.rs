@@ -282,12 +282,13 @@ impl<'a> PathTracer<'a> {
     /// Lights the surfaces that paths have hit, and follows the paths to their next surfaces; the last bounce only to the sky.
     fn bounce(&self, shader: &Shader<'_>, bounce: u8, paths: &[Path], sums: &mut PixelSums<'_>) -> Vec<Path> {
         let mut next = NextRays { pending: Vec::with_capacity(paths.len()), ..NextRays::default() };
-        let (mut batch, mut hits) = (SurfaceBatch::NONE, [Hit::MISS; 64]);
+        let (mut batch, mut hits, mut points) = (SurfaceBatch::NONE, [Hit::MISS; 64], [None; 64]);
         for paths in paths.chunks(64) {
             let rays = PathRays(paths);
             hits.iter_mut().zip(paths).for_each(|(hit, path)| *hit = path.hit);
             let hits = &hits[..paths.len()];
             shader.find_surfaces(self.grid.instructions, rays, hits, &mut batch);
+            self.lift.points(self.grid.instructions, rays, hits, &mut points);
             for (index, path) in paths.iter().enumerate() {
                 if path.hit.is_miss() {
                     let Some(ground) = &self.ground else { continue };
@@ -297,7 +298,7 @@ impl<'a> PathTracer<'a> {
                     continue;
                 }
                 let surface = batch.surfaces[index].unwrap_or_else(|| shader.cap(path.direction));
-                let Some(lifted) = self.lift.point(path.origin, path.direction, path.hit) else { continue };
+                let Some(lifted) = points[index] else { continue };
                 let material = batch.materials[index].as_ref();
                 let Some(scattering) = Self::scattering(path, &surface, material, sums) else { continue };
                 self.scatter(path, &PathVertex { lifted, scattering, bounce }, &mut next, sums);

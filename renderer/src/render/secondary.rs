@@ -20,6 +20,7 @@ use crate::{
         lift::{Lift, LiftedPoint},
         sampling::hash_u32,
     },
+    texture::footprint::SampleRays,
 };
 
 /// The light that reaches one hit.
@@ -100,16 +101,12 @@ impl<'a> SecondaryRays<'a> {
         if self.lighting_mode == LightingMode::Primary {
             return visibility;
         }
-        let surfaces: [[Option<LiftedPoint>; 64]; MOST_PACKETS] = std::array::from_fn(|index| {
-            let n_samples = blocks.get(index).map_or(0, SampleBlock::n_samples);
-            std::array::from_fn(|sample_idx| {
-                if sample_idx < n_samples {
-                    self.lift.point(self.eye, directions[index][sample_idx], hits[index][sample_idx])
-                } else {
-                    None
-                }
-            })
-        });
+        let mut surfaces = [[None; 64]; MOST_PACKETS];
+        for (index, block) in blocks.iter().enumerate() {
+            let (directions, hits) = (&directions[index], &hits[index][..block.n_samples()]);
+            let rays = SampleRays { eye: self.eye.as_vec3(), directions, sides: [Vec3::ZERO; 2] };
+            self.lift.points(self.grid.instructions, rays, hits, &mut surfaces[index]);
+        }
         self.cast_shadows(blocks, &surfaces, &mut visibility, scratch);
         if self.lighting_mode == LightingMode::AmbientOcclusion {
             for (index, block) in blocks.iter().enumerate() {

@@ -15,7 +15,7 @@ use crate::{
 };
 
 /// Hits that are done at once.
-const N: usize = footprint::N;
+pub(super) const N: usize = footprint::N;
 
 /// A vector for each of [`N`] hits, by axis.
 type Vectors = [[f32; N]; 3];
@@ -69,24 +69,14 @@ impl<R: WideRays> Kernel for Surfaces<'_, R> {
     fn run<S: Simd>(self) {
         let Self { mesh, rays, hits, plain_color, surfaces, footprints } = self;
         footprints.clear();
-        // Choose the samples that hit triangles.
-        let (mut samples, mut n_samples) = ([0; 64], 0);
-        for (sample, hit) in (0..64).zip(hits) {
-            surfaces[sample] = None;
-            samples[n_samples] = sample;
-            n_samples += usize::from(!hit.is_miss() && !hit.is_cap());
-        }
-
-        for samples in samples[..n_samples].chunks(N) {
-            // Lanes beyond the samples repeat the last. They are chosen here: loops with a check do not become vector
-            // instructions, and a frame's shading took 1.5 times as long.
-            let of_lanes = std::array::from_fn(|lane| samples[lane.min(samples.len() - 1)]);
+        surfaces[..hits.len()].fill(None);
+        for (of_lanes, n) in TriangleHits::of(hits).lanes() {
             let gathered = gather::<S>(mesh, rays, hits, &of_lanes);
             let found = gathered.interpolate(|lane| rays.origin(of_lanes[lane]), plain_color);
             if let Some(coordinates) = &gathered.coordinates {
-                footprints.push(&gathered.footprints(rays, &of_lanes, coordinates, &found), samples.len());
+                footprints.push(&gathered.footprints(rays, &of_lanes, coordinates, &found), n);
             }
-            for (lane, &sample) in samples.iter().enumerate().take(N) {
+            for (lane, &sample) in of_lanes.iter().enumerate().take(n) {
                 surfaces[sample] = Some(Surface {
                     to_eye: get(&found.to_eyes, lane),
                     geometric: get(&found.geometrics, lane),
@@ -95,6 +85,34 @@ impl<R: WideRays> Kernel for Surfaces<'_, R> {
                 });
             }
         }
+    }
+}
+
+/// The numbers of those of up to 64 hits that are neither misses nor caps.
+pub(super) struct TriangleHits {
+    numbers: [usize; 64],
+    n: usize,
+}
+
+impl TriangleHits {
+    #[inline(always)]
+    pub(super) fn of(hits: &[Hit]) -> Self {
+        let (mut numbers, mut n) = ([0; 64], 0);
+        for (number, hit) in (0..64).zip(hits) {
+            numbers[n] = number;
+            n += usize::from(!hit.is_miss() && !hit.is_cap());
+        }
+        Self { numbers, n }
+    }
+
+    /// The numbers, [`N`] at a time, and how many these are: lanes beyond the last repeat it. They are chosen here: loops with a
+    /// check do not become vector instructions, and a frame's shading took 1.5 times as long.
+    #[inline(always)]
+    pub(super) fn lanes(&self) -> impl Iterator<Item = ([usize; N], usize)> {
+        self.numbers[..self.n].chunks(N).map(|numbers| {
+            let n = numbers.len();
+            (std::array::from_fn(|lane| numbers[lane.min(n - 1)]), n)
+        })
     }
 }
 
@@ -236,12 +254,12 @@ impl Lanes {
 }
 
 #[inline(always)]
-fn get([x, y, z]: &Vectors, lane: usize) -> Vec3 {
+pub(super) fn get([x, y, z]: &Vectors, lane: usize) -> Vec3 {
     Vec3::new(x[lane], y[lane], z[lane])
 }
 
 #[inline(always)]
-fn set([x, y, z]: &mut Vectors, lane: usize, vector: Vec3) {
+pub(super) fn set([x, y, z]: &mut Vectors, lane: usize, vector: Vec3) {
     (x[lane], y[lane], z[lane]) = (vector.x, vector.y, vector.z);
 }
 
