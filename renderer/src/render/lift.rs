@@ -137,3 +137,48 @@ impl<R: WideRays> Kernel for LiftedPoints<'_, R> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        grid::Grid,
+        intersect::{clip, ray::Ray},
+        model::statue,
+        texture::footprint::SampleRays,
+    };
+
+    #[test]
+    fn many_hits_are_lifted_to_the_points_of_single_ones() {
+        let mesh = statue::generate(3000, &|_| ());
+        let grid = Grid::build(mesh, &Default::default(), &|_| ());
+        let [min, max] = grid.mesh().bounds().corners();
+        let (middle, size) = ((min + max) * 0.5, (max - min).max_element());
+        let plane = ClipPlane { normal: DVec3::Y, offset: middle.y };
+        let eye = (middle + DVec3::new(0.3, 1.5, 2.0) * size).as_vec3();
+        let target =
+            |number: usize| DVec3::new((number % 8) as f64 - 3.5, (number / 8) as f64 - 3.5, 0.0) * (size / 8.0);
+        let directions: [Vec3; 64] = std::array::from_fn(|number| (middle + target(number)).as_vec3() - eye);
+        let rays = directions.map(|direction| Ray::new(eye, direction));
+        for clip in [None, Some(plane)] {
+            let mut hits = [Hit::MISS; 64];
+            clip::intersect_rays(&grid, clip.as_ref(), &rays, &mut hits);
+            assert!(hits.iter().any(|hit| hit.is_miss()) && hits.iter().any(|hit| !hit.is_miss() && !hit.is_cap()));
+            assert_eq!(hits.iter().any(|hit| hit.is_cap()), clip.is_some());
+            let lift = Lift::new(grid.mesh(), clip, Vec3::ZERO);
+            let numbers =
+                |lifted: LiftedPoint| [lifted.point, lifted.normal].map(|vector| vector.to_array().map(f64::to_bits));
+            let single = |number: usize| lift.point(eye.as_dvec3(), directions[number], hits[number]);
+            for instructions in InstructionSet::available() {
+                for n in [64, 17, 1] {
+                    let mut points = [None; 64];
+                    let rays = SampleRays { eye, directions: &directions, sides: [Vec3::ZERO; 2] };
+                    lift.points(instructions, rays, &hits[..n], &mut points);
+                    for (number, &point) in points[..n].iter().enumerate() {
+                        assert_eq!(point.map(numbers), single(number).map(numbers), "{instructions:?}: {number}");
+                    }
+                }
+            }
+        }
+    }
+}
