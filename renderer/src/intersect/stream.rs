@@ -352,12 +352,10 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
         for &slot in slots {
             let slot_idx = slot as usize % N_SLOTS;
             let Slot { descent, nearest, .. } = &mut self.state.slots[slot_idx];
-            let next = if ANY && nearest.is_hit() {
-                NONE
-            } else {
+            if !ANY {
                 descent.shorten(nearest.t);
-                descent.next::<ANY>()
-            };
+            }
+            let next = if ANY && nearest.is_hit() { NONE } else { descent.next::<ANY>() };
             self.set_entry::<S>(slot_idx, next);
         }
     }
