@@ -35,8 +35,8 @@ pub(crate) const LEVELS: u32 = 5;
 /// Finest cells along a brick.
 pub(crate) const BRICK_SIZE: u32 = 1 << (2 * LEVELS);
 
-/// So many bytes stay in a processor's caches, and hints cost a tenth of the time of single rays; where there are more, they
-/// save up to a quarter.
+/// Bytes that stay in a processor's caches: hints cost single rays a tenth of their time there, and save up to a quarter where
+/// a tree is larger.
 const CACHED_BYTES: usize = 20 << 20;
 
 /// Bricks, nodes and leaves, and the triangles of each leaf.

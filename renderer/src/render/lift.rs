@@ -38,19 +38,7 @@ impl<'a> Lift<'a> {
         Self { mesh, clip, ray_offset: max_coordinate * (8.0 * f64::from(f32::EPSILON)) }
     }
 
-    /// The start of rays from the hit of a ray; `None` for a miss, and for slivers too thin to have a normal.
-    pub(super) fn point(&self, origin: DVec3, direction: Vec3, hit: Hit) -> Option<LiftedPoint> {
-        if hit.is_miss() {
-            return None;
-        }
-        let (a, normal) = match self.clip {
-            Some(ClipPlane { normal, offset }) if hit.is_cap() => (normal * offset, normal),
-            _ => (Vec3::from_array(self.mesh.corners(hit.triangle)[0]).as_dvec3(), self.mesh.normal(hit.triangle)),
-        };
-        self.on_plane(origin, direction, (a, normal)).if_finite()
-    }
-
-    /// [`Lift::point`] of up to 64 hits, by their number.
+    /// The starts of rays from up to 64 hits of rays, by their number; `None` for misses, and for slivers too thin to have a normal.
     pub(super) fn points(
         &self,
         instructions: InstructionSet,
@@ -60,9 +48,24 @@ impl<'a> Lift<'a> {
     ) {
         // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
         unsafe { instructions.call(LiftedPoints { lift: self, rays, hits, points }) }
-        for (number, &hit) in hits.iter().enumerate().filter(|(_, hit)| hit.is_cap()) {
-            points[number] = self.point(rays.origin(number).as_dvec3(), rays.direction(number), hit);
+        let Some(ClipPlane { normal, offset }) = self.clip else { return };
+        for number in (0..hits.len()).filter(|&number| hits[number].is_cap()) {
+            let (origin, direction) = (rays.origin(number).as_dvec3(), rays.direction(number));
+            points[number] = self.on_plane(origin, direction, (normal * offset, normal)).if_finite();
         }
+    }
+
+    /// [`Lift::points`] of one hit, in plain code that tests compare with.
+    #[cfg(test)]
+    pub(super) fn point(&self, origin: DVec3, direction: Vec3, hit: Hit) -> Option<LiftedPoint> {
+        if hit.is_miss() {
+            return None;
+        }
+        let plane = match self.clip {
+            Some(ClipPlane { normal, offset }) if hit.is_cap() => (normal * offset, normal),
+            _ => (Vec3::from_array(self.mesh.corners(hit.triangle)[0]).as_dvec3(), self.mesh.normal(hit.triangle)),
+        };
+        self.on_plane(origin, direction, plane).if_finite()
     }
 
     /// The point where a ray meets a plane, which has a point and a normal of any length.
