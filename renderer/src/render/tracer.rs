@@ -203,9 +203,10 @@ impl<'a> Sampler<'a> {
         let is_shared = pixels.iter().any(|pixel| pixel.n_paths > 1);
         for (row, sample) in samples.enumerate() {
             for (index, (packet, block)) in packets.iter_mut().zip(blocks).enumerate() {
-                set_camera_rays(packet, rays, block, first_sample.wrapping_add(sample));
                 if is_shared {
                     share_camera_rays(packet, rays, block, (sample, *first_sample), &pixels[64 * index..]);
+                } else {
+                    set_camera_rays(packet, rays, block, first_sample.wrapping_add(sample));
                 }
             }
             let (before, hits) = hits.split_at_mut(row);
@@ -223,8 +224,8 @@ impl<'a> Sampler<'a> {
     }
 }
 
-/// Sets the rays of a packet to those that paths share at this sample, whose number counts from the frame's first, and makes
-/// those inactive that an earlier sample has traced.
+/// Fills a packet with the rays that paths share at this sample, whose number counts from the frame's first; those are inactive
+/// that an earlier sample has traced.
 fn share_camera_rays(
     packet: &mut Packet,
     rays: &CameraRays,
@@ -232,6 +233,8 @@ fn share_camera_rays(
     (sample, first_sample): (u32, u32),
     pixels: &[PixelPaths],
 ) {
+    packet.origin = rays.eye;
+    packet.active = u64::MAX >> (64 - block.n_samples());
     for (lane, index) in block.sample_of_lane().into_iter().enumerate() {
         let (ray_number, path_number) = camera_ray(sample, pixels[index].n_paths);
         if path_number > 0 {
