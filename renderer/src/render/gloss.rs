@@ -67,6 +67,7 @@ pub(super) fn facing(color: Vec3, metallic: f32) -> Vec3 {
 
 /// Schlick's approximation of the part of light that is reflected at an angle with this cosine; it rises from that of
 /// `facing` to at least `grazing`.
+#[inline(always)]
 pub(super) fn fresnel(facing: Vec3, grazing: f32, cosine: f32) -> Vec3 {
     let x = (1.0 - cosine).clamp(0.0, 1.0);
     let x2 = x * x;

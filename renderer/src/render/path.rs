@@ -9,12 +9,13 @@
 //! in one call. Only + − × ÷ √ are used, in a fixed order for each path: every machine computes the same bits.
 //!
 //! `sobol` makes random numbers, `lights` are sun and sky, `lamp` lights rooms, `ground` catches shadows, `scattering` is what
-//! surfaces do to light, and `tone` makes it fit a display. `splitting` and `sight` save rays; `rays` go on from surfaces; `pixel`
-//! keeps what a pixel's paths bring and find.
+//! surfaces do to light, and `tone` makes it fit a display. `onward` finds where paths go on, many at once; `rays` go there.
+//! `splitting` and `sight` save rays, and `pixel` keeps what a pixel's paths bring and find.
 
 mod ground;
 mod lamp;
 pub(super) mod lights;
+mod onward;
 pub(super) mod pixel;
 mod rays;
 mod scattering;
@@ -35,9 +36,10 @@ use shared::{appearance::ClipPlane, protocol::FrameSpec};
 use self::{
     ground::Ground,
     lamp::Lamp,
-    lights::{Sky, Sun},
+    lights::{Lights, Sky, Sun},
+    onward::{Onward, Outgoing, ToLight},
     pixel::{PixelPaths, PixelSums, Sharing},
-    rays::{Contribution, NextRays, Pending},
+    rays::{Contribution, NextRays},
     scattering::{ScatterSample, Scattering},
     sight::{SightOf, sky_part},
     sobol::PixelSample,
@@ -92,12 +94,9 @@ pub(super) struct PathTracer<'a> {
     clip: Option<ClipPlane>,
     lift: Lift<'a>,
     eye: DVec3,
-    sun: Sun,
+    lights: Lights<'a>,
     /// Only where surfaces hide most of the sky from the eye.
     lamp: Option<Lamp>,
-    sky: Sky,
-    /// In place of sun and sky.
-    sky_map: Option<PlacedSky<'a>>,
     /// Only where the background shows shadows.
     ground: Option<Ground>,
     bounces: u8,
@@ -143,8 +142,12 @@ impl Path {
     /// The path with this number among those that share a camera ray.
     fn alone(&self, number: u32) -> Self {
         let sample_number = self.sample_number.wrapping_add(number);
-        let sample = self.sample.with_number(sample_number);
-        Self { sharing: self.sharing.alone(number), sample, sample_number, ..*self }
+        Self { sharing: self.sharing.alone(number), sample: self.sample_alone(number), sample_number, ..*self }
+    }
+
+    /// The sample of that path.
+    fn sample_alone(&self, number: u32) -> PixelSample {
+        self.sample.with_number(self.sample_number.wrapping_add(number))
     }
 }
 
@@ -178,19 +181,12 @@ impl WideRays for PathRays<'_> {
 }
 
 /// A point on a surface that a path has hit.
-struct PathVertex {
-    lifted: LiftedPoint,
+#[derive(Clone, Copy)]
+struct PathVertex<'a> {
+    path: &'a Path,
+    /// Lifted off the surface; model space.
+    point: DVec3,
     scattering: Scattering,
-    /// Number of surfaces that the path hit before.
-    bounce: u8,
-}
-
-impl PathVertex {
-    /// Two numbers from 0 to 1 of a path's sample; each bounce has [`DIMENSIONS`] pairs.
-    #[inline(always)]
-    fn random(&self, path: &Path, number: u32) -> [f32; 2] {
-        path.sample.pair(DIMENSIONS * u32::from(self.bounce) + number)
-    }
 }
 
 impl<'a> PathTracer<'a> {
@@ -214,10 +210,8 @@ impl<'a> PathTracer<'a> {
             clip,
             lift: Lift::new(grid.mesh(), clip, Vec3::ZERO),
             eye,
-            sun: Sun::new(to_light, light.sun_degrees(), SUN_LIGHT),
+            lights: Lights { sun: Sun::new(to_light, light.sun_degrees(), SUN_LIGHT), sky, sky_map },
             lamp: Lamp::at(grid, clip.as_ref(), eye, SUN_LIGHT),
-            sky,
-            sky_map,
             ground: ground.flatten(),
             bounces: light.bounces(),
             first_sample: spec.samples.first,
@@ -281,134 +275,137 @@ impl<'a> PathTracer<'a> {
 
     /// Lights the surfaces that paths have hit, and follows the paths to their next surfaces; the last bounce only to the sky.
     fn bounce(&self, shader: &Shader<'_>, bounce: u8, paths: &[Path], sums: &mut PixelSums<'_>) -> Vec<Path> {
-        let mut next = NextRays { pending: Vec::with_capacity(paths.len()), ..NextRays::default() };
+        let mut next = NextRays::of(paths.iter().map(|path| path.sharing.n_paths as usize).sum());
         let (mut batch, mut hits, mut points) = (SurfaceBatch::NONE, [Hit::MISS; 64], [None; 64]);
+        let (mut vertices, mut outgoing) = (Vec::with_capacity(64), Outgoing::default());
         for paths in paths.chunks(64) {
             let rays = PathRays(paths);
             hits.iter_mut().zip(paths).for_each(|(hit, path)| *hit = path.hit);
             let hits = &hits[..paths.len()];
             shader.find_surfaces(self.grid.instructions, rays, hits, &mut batch);
             self.lift.points(self.grid.instructions, rays, hits, &mut points);
+            vertices.clear();
             for (index, path) in paths.iter().enumerate() {
-                if path.hit.is_miss() {
-                    let Some(ground) = &self.ground else { continue };
-                    let Some(lifted) = ground.point(path.origin, path.direction) else { continue };
-                    let scattering = Scattering::matte(&ground.surface(path.direction));
-                    self.scatter(path, &PathVertex { lifted, scattering, bounce }, &mut next, sums);
-                    continue;
+                let vertex = if path.is_on_ground() {
+                    self.vertex_on_ground(path)
+                } else {
+                    let surface = batch.surfaces[index].unwrap_or_else(|| shader.cap(path.direction));
+                    Self::vertex(path, points[index], &surface, batch.materials[index].as_ref(), sums)
+                };
+                vertices.extend(vertex);
+            }
+            outgoing.find((self.grid.instructions, &self.lights), &vertices, bounce);
+            let mut onwards = outgoing.onwards.iter();
+            for (vertex, to_light) in vertices.iter().zip(&outgoing.to_lights) {
+                self.send_to_lights(vertex, bounce, to_light, &mut next, sums);
+                for (number, onward) in (0..vertex.path.sharing.n_paths).zip(&mut onwards) {
+                    self.follow_on(&vertex.path.alone(number), vertex, bounce, onward, &mut next, sums);
                 }
-                let surface = batch.surfaces[index].unwrap_or_else(|| shader.cap(path.direction));
-                let Some(lifted) = points[index] else { continue };
-                let material = batch.materials[index].as_ref();
-                let Some(scattering) = Self::scattering(path, &surface, material, sums) else { continue };
-                self.scatter(path, &PathVertex { lifted, scattering, bounce }, &mut next, sums);
             }
         }
-        let NextRays { shadow_rays, contributions, pending } = next;
-        self.cast_shadows(shadow_rays, &contributions, sums);
-        self.follow(pending, sums)
+        let NextRays { shadow_rays, contributions_of_shadow_rays, paths, contributions_of_paths } = next;
+        self.cast_shadows(shadow_rays, &contributions_of_shadow_rays, sums);
+        self.follow(paths, &contributions_of_paths, sums)
     }
 
-    /// Sends rays to the lights from a surface that a path has hit, and one to each path's next surface.
+    /// Sends rays to the lights from a surface that a path has hit.
     #[inline(always)]
-    fn scatter(&self, path: &Path, vertex: &PathVertex, rays: &mut NextRays, sums: &mut PixelSums<'_>) {
-        let PathVertex { lifted, scattering, bounce } = vertex;
-        let is_first = *bounce == 0;
-        let (direction, of_sun) = self.sun_light(scattering, vertex.random(path, 0));
-        let sunlight = Contribution { sight: is_first.then_some(SightOf::Sun), ..path.brings(of_sun) };
+    fn send_to_lights(
+        &self,
+        vertex: &PathVertex<'_>,
+        bounce: u8,
+        to_light: &ToLight,
+        rays: &mut NextRays,
+        sums: &mut PixelSums<'_>,
+    ) {
+        let PathVertex { path, point, scattering } = vertex;
+        let sunlight = Contribution { sight: (bounce == 0).then_some(SightOf::Sun), ..path.brings(to_light.light) };
         // No path ends at its first surface, so the number is free there.
-        if let Some((sunlight, _)) = sunlight.beyond(|| vertex.random(path, 1)[1], sums) {
-            rays.push_shadow_ray((lifted.point, direction, f32::MAX), sunlight);
+        if let Some((sunlight, _)) = sunlight.beyond(|| to_light.random, sums) {
+            rays.push_shadow_ray((*point, to_light.direction, f32::MAX), sunlight);
         }
         // The lamp shows the model alone.
         if let Some(lamp) = self.lamp.as_ref().filter(|_| !path.is_on_ground()) {
-            let (to_lamp, light) = lamp.toward(lifted.point);
+            let (to_lamp, light) = lamp.toward(*point);
             let (part, _) = scattering.toward(normalize_or_zero(to_lamp));
-            let ray = (lifted.point, normalize_or_zero(to_lamp), to_lamp.length() as f32);
+            let ray = (*point, normalize_or_zero(to_lamp), to_lamp.length() as f32);
             rays.push_shadow_ray(ray, path.brings(part * light));
-        }
-        for number in 0..path.sharing.n_paths {
-            self.follow_on(&path.alone(number), vertex, rays, sums);
         }
     }
 
     /// Sends a ray to a path's next surface; the less light it brings, the more often the path ends (Russian roulette).
     #[inline(always)]
-    fn follow_on(&self, path: &Path, vertex: &PathVertex, rays: &mut NextRays, sums: &mut PixelSums<'_>) {
-        let PathVertex { lifted, scattering, bounce } = vertex;
-        let (is_first, is_last) = (*bounce == 0, *bounce == self.bounces);
-        let [choice, roulette] = vertex.random(path, 1);
-        let Some(next) = scattering.sample(choice, vertex.random(path, 2)) else { return };
-        let ScatterSample { direction, is_diffuse, density, .. } = next;
-        let weight = path.weight * next.weight;
+    fn follow_on(
+        &self,
+        path: &Path,
+        vertex: &PathVertex<'_>,
+        bounce: u8,
+        &Onward { sample, escaped, random }: &Onward,
+        rays: &mut NextRays,
+        sums: &mut PixelSums<'_>,
+    ) {
+        let (is_first, is_last) = (bounce == 0, bounce == self.bounces);
+        let ScatterSample { direction, is_diffuse, density, .. } = sample;
+        let weight = path.weight * sample.weight;
         let bright = weight.max_element() * (1.0 / ROULETTE_WEIGHT);
         let survival = if is_first || is_last { 1.0 } else { bright.min(1.0) };
-        if roulette >= survival {
+        if density == 0.0 || random >= survival {
             return;
         }
         let mut path = Path { weight: weight * (1.0 / survival), ..*path };
         let sight = is_first.then(|| SightOf::Sky { part: sky_part(direction) });
-        let escaped = Contribution { sight, ..path.brings(self.escaped(direction, density)) };
-        let Some((escaped, traced_part)) = escaped.beyond(|| roulette, sums) else { return };
+        let escaped = Contribution { sight, ..path.brings(escaped) };
+        let Some((escaped, traced_part)) = escaped.beyond(|| random, sums) else { return };
         path.weight *= 1.0 / traced_part;
         if is_last {
-            rays.push_shadow_ray((lifted.point, direction, f32::MAX), escaped);
+            rays.push_shadow_ray((vertex.point, direction, f32::MAX), escaped);
             return;
         }
         // Light that was scattered widely sees textures as they are: many paths blur them anyway.
         let width = if is_diffuse { 0.0 } else { path.sides[0].length() / path.direction.length() };
-        rays.pending.push(Pending {
-            path: Path {
-                origin: lifted.point.as_vec3().as_dvec3(),
-                direction,
-                sides: tangent_basis(direction).map(|side| side * width),
-                density: path.density.min(density),
-                ..path
-            },
-            contribution: escaped,
+        rays.contributions_of_paths.push(escaped);
+        rays.paths.push(Path {
+            origin: vertex.point.as_vec3().as_dvec3(),
+            direction,
+            sides: tangent_basis(direction).map(|side| side * width),
+            density: path.density.min(density),
+            ..path
         });
     }
 
-    /// The scattering of the surface that a path has hit; adds the light that the surface gives off. `None` if it only gives
-    /// off light.
-    fn scattering(
-        path: &Path,
+    /// The surface that a path has hit; adds the light that it gives off. `None` if it only gives off light, and for slivers too
+    /// thin to have a point.
+    #[inline(always)]
+    fn vertex<'p>(
+        path: &'p Path,
+        lifted: Option<LiftedPoint>,
         surface: &Surface,
         material: Option<&PointMaterial>,
         sums: &mut PixelSums<'_>,
-    ) -> Option<Scattering> {
-        let Some(&PointMaterial { finish, emissive }) = material else { return Some(Scattering::matte(surface)) };
+    ) -> Option<PathVertex<'p>> {
+        let point = lifted?.point;
+        let Some(&PointMaterial { finish, emissive }) = material else {
+            return Some(PathVertex { path, point, scattering: Scattering::matte(surface) });
+        };
         sums.add(path.sharing, path.weight * emissive);
-        match finish {
+        let scattering = match finish {
             Finish::Unlit => {
                 sums.add(path.sharing, path.weight * surface.color);
-                None
+                return None;
             }
-            Finish::Matte => Some(Scattering::matte(surface)),
+            Finish::Matte => Scattering::matte(surface),
             Finish::Glossy { roughness, metallic } => {
-                Some(Scattering::glossy(surface, roughness, metallic, least_roughness(path.density)))
+                Scattering::glossy(surface, roughness, metallic, least_roughness(path.density))
             }
-        }
+        };
+        Some(PathVertex { path, point, scattering })
     }
 
-    /// A direction to the sun, and the light from there that a surface scatters to the eye if nothing is between, weighed
-    /// against the path's own chance to go there; the same of an image of the sky, if there is one.
-    fn sun_light(&self, scattering: &Scattering, random: [f32; 2]) -> (Vec3, Vec3) {
-        let light = self.sky_map.as_ref().map_or_else(|| self.sun.sample(random), |sky| sky.sample(random));
-        let (part, density) = scattering.toward(light.direction);
-        (light.direction, part * light.radiance * (1.0 / (light.density + density)))
-    }
-
-    /// The light of sun and sky from a direction that was chosen with this density, in which nothing is hit. The sun's is
-    /// weighed against the shadow rays' chance to go there.
-    fn escaped(&self, direction: Vec3, density: f32) -> Vec3 {
-        if let Some(sky) = &self.sky_map {
-            let sky = sky.toward(direction);
-            return sky.radiance * (density / (density + sky.density));
-        }
-        let sky = self.sky.radiance(direction);
-        let sun = self.sun.toward(direction);
-        sky + sun.radiance * (density / (density + sun.density))
+    /// The point of the ground that a path has hit.
+    fn vertex_on_ground<'p>(&self, path: &'p Path) -> Option<PathVertex<'p>> {
+        let ground = self.ground.as_ref()?;
+        let point = ground.point(path.origin, path.direction)?.point;
+        Some(PathVertex { path, point, scattering: Scattering::matte(&ground.surface(path.direction)) })
     }
 
     /// Traces shadow rays, and adds what they find.
@@ -421,15 +418,15 @@ impl<'a> PathTracer<'a> {
     }
 
     /// Traces paths to their next surfaces, and adds what their rays find.
-    fn follow(&self, pending: Vec<Pending>, sums: &mut PixelSums<'_>) -> Vec<Path> {
-        let ray = |Pending { path, .. }: &Pending| Ray::new(path.origin.as_vec3(), path.direction);
-        let rays: Vec<_> = pending.iter().map(ray).collect();
+    fn follow(&self, mut paths: Vec<Path>, contributions: &[Contribution], sums: &mut PixelSums<'_>) -> Vec<Path> {
+        let rays: Vec<_> = paths.iter().map(|path| Ray::new(path.origin.as_vec3(), path.direction)).collect();
         let mut hits = vec![Hit::MISS; rays.len()];
         clip::intersect_rays(self.grid, self.clip.as_ref(), &rays, &mut hits);
-        let followed = pending.into_iter().zip(hits).filter_map(|(Pending { path, contribution }, hit)| {
+        for ((path, &contribution), hit) in paths.iter_mut().zip(contributions).zip(hits) {
             sums.add_found(contribution, !hit.is_miss());
-            (!hit.is_miss()).then_some(Path { hit, ..path })
-        });
-        followed.collect()
+            path.hit = hit;
+        }
+        paths.retain(|path| !path.hit.is_miss());
+        paths
     }
 }

@@ -18,6 +18,7 @@ pub fn sample_point(i: u32, j: u32, sample: u32) -> (f32, f32) {
 }
 
 /// Cosine and sine of an angle in turns, from 0 to 1, to six digits: `sin_cos` differs between platforms, + − × do not.
+#[inline(always)]
 pub(crate) fn circle_point(turns: f32) -> [f32; 2] {
     // Taylor's series within an eighth of a turn to either side of a quarter's multiple.
     let quarters = turns * 4.0;
@@ -27,12 +28,10 @@ pub(crate) fn circle_point(turns: f32) -> [f32; 2] {
     let sin = x * (1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0) * (1.0 - square * (1.0 / 42.0))));
     let cos = 1.0
         - square * 0.5 * (1.0 - square * (1.0 / 12.0) * (1.0 - square * (1.0 / 30.0) * (1.0 - square * (1.0 / 56.0))));
-    match quarter % 4 {
-        0 => [cos, sin],
-        1 => [-sin, cos],
-        2 => [-cos, -sin],
-        _ => [sin, -cos],
-    }
+    // Without branches, which would be guessed wrong.
+    let [x, y] = if quarter & 1 == 0 { [cos, sin] } else { [sin, cos] };
+    let negated_if = |x: f32, bit: u32| f32::from_bits(x.to_bits() ^ (bit & 2) << 30);
+    [negated_if(x, quarter + 1), negated_if(y, quarter)]
 }
 
 /// The angle of a direction in turns, from 0 to 1, to six digits: the inverse of [`circle_point`]; of no direction 0.
@@ -53,6 +52,7 @@ pub(crate) fn circle_turns([x, y]: [f32; 2]) -> f32 {
 }
 
 /// Mixes bits: "lowbias32" of Wellons, "Prospecting for Hash Functions" (2018).
+#[inline(always)]
 pub(crate) fn hash_u32(mut x: u32) -> u32 {
     x = (x ^ x >> 16).wrapping_mul(0x7feb_352d);
     x = (x ^ x >> 15).wrapping_mul(0x846c_a68b);

@@ -283,6 +283,7 @@ pub fn occluded_lanes(
 }
 
 /// Completes a unit normal to an orthonormal basis: Duff et al., "Building an Orthonormal Basis, Revisited" (2017).
+#[inline(always)]
 pub(super) fn tangent_basis(n: Vec3) -> [Vec3; 2] {
     let sign = 1.0f32.copysign(n.z);
     let a = -1.0 / (sign + n.z);

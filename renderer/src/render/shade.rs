@@ -154,14 +154,12 @@ impl<'a> Shader<'a> {
 
 /// The part of a light that a smooth surface keeps where its triangles turn away from the light, so that light ends
 /// smoothly where their shadows begin: Chiang, Li and Burley, "Taming the Shadow Terminator" (2019).
+#[inline(always)]
 pub(super) fn soft_terminator(geometric: Vec3, shading: Vec3, to_light: Vec3) -> f32 {
     let product = shading.dot(to_light) * geometric.dot(shading);
     let cosine = geometric.dot(to_light).max(0.0);
-    if cosine >= product {
-        return 1.0;
-    }
     let part = cosine / product;
-    part + part * part - part * part * part
+    if cosine >= product { 1.0 } else { part + part * part - part * part * part }
 }
 
 /// The colours of many cells and of many tests in the cost view, encoded: Okabe and Ito's sky blue and orange, which

@@ -18,7 +18,7 @@ use crate::{
 pub(super) const N: usize = footprint::N;
 
 /// A vector for each of [`N`] hits, by axis.
-type Vectors = [[f32; N]; 3];
+pub(super) type Vectors = [[f32; N]; 3];
 
 /// The surface at a hit: vectors of unit length, all on the side of the ray's origin, and its colour.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,7 +4,7 @@ use std::f32::consts::PI;
 
 use glam::{DVec3, Vec3};
 
-use crate::render::{sampling::circle_point, secondary::tangent_basis};
+use crate::render::{sampling::circle_point, secondary::tangent_basis, sky::PlacedSky};
 
 /// A direction to a light, and what comes from there.
 #[derive(Clone, Copy, Debug)]
@@ -15,6 +15,23 @@ pub(in crate::render) struct LightSample {
     pub(in crate::render) radiance: Vec3,
     /// Density of the samples in this direction, for each steradian.
     pub(in crate::render) density: f32,
+}
+
+impl LightSample {
+    /// The light from a direction that was chosen with this density, in which nothing is hit, weighed against the chance that rays
+    /// to the light go there.
+    #[inline(always)]
+    pub(super) fn escaped(&self, density: f32) -> Vec3 {
+        self.radiance * (density / (density + self.density))
+    }
+}
+
+/// All lights of a picture but the lamp.
+pub(super) struct Lights<'a> {
+    pub(super) sun: Sun,
+    pub(super) sky: Sky,
+    /// In place of sun and sky.
+    pub(super) sky_map: Option<PlacedSky<'a>>,
 }
 
 /// A disc of equal light at infinity.
@@ -45,6 +62,7 @@ impl Sun {
     }
 
     /// Samples the disc uniformly, from a point of the unit square.
+    #[inline(always)]
     pub(super) fn sample(&self, [u, v]: [f32; 2]) -> LightSample {
         let height = u * self.cap;
         let radius = (height * (2.0 - height)).sqrt();
@@ -55,6 +73,7 @@ impl Sun {
     }
 
     /// The light from a direction, and the density of samples there, for each steradian.
+    #[inline(always)]
     pub(super) fn toward(&self, direction: Vec3) -> LightSample {
         // The chord is exact where the cosine is near 1.
         let chord = direction - self.direction;
@@ -63,6 +82,7 @@ impl Sun {
         LightSample { direction, radiance, density }
     }
 
+    #[inline(always)]
     fn density(&self) -> f32 {
         1.0 / (2.0 * PI * self.cap)
     }
@@ -79,6 +99,7 @@ pub(super) struct Sky {
 
 impl Sky {
     /// Linear light from a direction of unit length, for each steradian.
+    #[inline(always)]
     pub(super) fn radiance(&self, direction: Vec3) -> Vec3 {
         self.ground + (self.zenith - self.ground) * (0.5 + 0.5 * direction.dot(self.up)).clamp(0.0, 1.0)
     }

@@ -6,7 +6,7 @@ use glam::Vec3;
 use super::{
     DIMENSIONS, PathVertex,
     lights::{LightSample, Lights},
-    scattering::{Mattes, ScatterSample, Scattering},
+    scattering::{ScatterSample, Scatterings},
     sobol::{PixelSample, PixelSamples},
 };
 use crate::{
@@ -104,11 +104,12 @@ impl Kernel for ToLights<'_> {
     fn run<S: Simd>(self) {
         let Self { lights, vertices, departures, bounce, found } = self;
         for departures in departures.chunks(N) {
-            let (each, samples) = (Each { vertices, departures }, samples_of(departures));
+            let (scatterings, samples) = lanes_of(vertices, departures);
             let mut lanes = ToLightLanes::sample(lights, &samples, bounce);
-            match Mattes::of(|lane| each.at(lane)) {
-                Some(mattes) => lanes.scatter(&mattes),
-                None => lanes.scatter(&each),
+            if scatterings.are_matte {
+                lanes.scatter::<false>(&scatterings);
+            } else {
+                lanes.scatter::<true>(&scatterings);
             }
             for lane in 0..departures.len() {
                 let (direction, light) = (get(&lanes.directions, lane), get(&lanes.lights, lane));
@@ -125,48 +126,17 @@ impl Kernel for Onwards<'_> {
     fn run<S: Simd>(self) {
         let Self { lights, vertices, departures, bounce, found } = self;
         for departures in departures.chunks(N) {
-            let (each, samples) = (Each { vertices, departures }, samples_of(departures));
-            let mut lanes = match Mattes::of(|lane| each.at(lane)) {
-                Some(mattes) => OnwardLanes::sample(&mattes, &samples, bounce),
-                None => OnwardLanes::sample(&each, &samples, bounce),
+            let (scatterings, samples) = lanes_of(vertices, departures);
+            let mut lanes = if scatterings.are_matte {
+                OnwardLanes::sample::<false>(&scatterings, &samples, bounce)
+            } else {
+                OnwardLanes::sample::<true>(&scatterings, &samples, bounce)
             };
             lanes.escape(lights);
             for lane in 0..departures.len() {
                 found.push(lanes.get(lane));
             }
         }
-    }
-}
-
-/// [`N`] surfaces.
-trait Scatterings {
-    fn get(&self, lane: usize) -> Scattering;
-}
-
-impl Scatterings for Mattes {
-    #[inline(always)]
-    fn get(&self, lane: usize) -> Scattering {
-        self.get(lane)
-    }
-}
-
-/// Surfaces of any kind, in the order of their departures; the compiler does one after the other.
-struct Each<'a> {
-    vertices: &'a [PathVertex<'a>],
-    departures: &'a [Departure],
-}
-
-impl Each<'_> {
-    #[inline(always)]
-    fn at(&self, lane: usize) -> &Scattering {
-        &self.vertices[at(self.departures, lane).vertex].scattering
-    }
-}
-
-impl Scatterings for Each<'_> {
-    #[inline(always)]
-    fn get(&self, lane: usize) -> Scattering {
-        *self.at(lane)
     }
 }
 
@@ -213,9 +183,9 @@ impl ToLightLanes {
 
     /// Finds what surfaces scatter of the lights.
     #[inline(always)]
-    fn scatter(&mut self, scatterings: &impl Scatterings) {
+    fn scatter<const REFLECTS: bool>(&mut self, scatterings: &Scatterings) {
         for lane in 0..N {
-            let (part, density) = scatterings.get(lane).toward(get(&self.directions, lane));
+            let (part, density) = scatterings.get::<REFLECTS>(lane).toward(get(&self.directions, lane));
             let light = part * get(&self.radiances, lane) * (1.0 / (self.densities[lane] + density));
             set(&mut self.lights, lane, light);
         }
@@ -234,7 +204,7 @@ struct OnwardLanes {
 
 impl OnwardLanes {
     #[inline(always)]
-    fn sample(scatterings: &impl Scatterings, samples: &PixelSamples, bounce: u8) -> Self {
+    fn sample<const REFLECTS: bool>(scatterings: &Scatterings, samples: &PixelSamples, bounce: u8) -> Self {
         let [directions, weights, escaped] = [[[0.0; N]; 3]; 3];
         let (densities, randoms, are_diffuse) = ([0.0; N], [0.0; N], [false; N]);
         let mut lanes = Self { directions, weights, escaped, densities, are_diffuse, randoms };
@@ -242,7 +212,8 @@ impl OnwardLanes {
             let sample = samples.get(lane);
             let [choice, random] = sample.pair(dimension(bounce, 1));
             let at = sample.pair(dimension(bounce, 2));
-            let ScatterSample { direction, weight, density, is_diffuse } = scatterings.get(lane).sample(choice, at);
+            let ScatterSample { direction, weight, density, is_diffuse } =
+                scatterings.get::<REFLECTS>(lane).sample(choice, at);
             set(&mut lanes.directions, lane, direction);
             set(&mut lanes.weights, lane, weight);
             lanes.densities[lane] = density;
@@ -287,22 +258,18 @@ fn dimension(bounce: u8, number: u32) -> u32 {
     DIMENSIONS * u32::from(bounce) + number
 }
 
-/// Lanes beyond the last repeat it.
+/// The surfaces and samples of up to [`N`] departures: lanes beyond the last repeat it.
 #[inline(always)]
-fn at(departures: &[Departure], lane: usize) -> Departure {
-    departures[lane.min(departures.len() - 1)]
-}
-
-#[inline(always)]
-fn samples_of(departures: &[Departure]) -> PixelSamples {
-    PixelSamples::of(|lane| at(departures, lane).sample)
+fn lanes_of(vertices: &[PathVertex<'_>], departures: &[Departure]) -> (Scatterings, PixelSamples) {
+    let at = |lane: usize| departures[lane.min(departures.len() - 1)];
+    (Scatterings::of(|lane| &vertices[at(lane).vertex].scattering), PixelSamples::of(|lane| at(lane).sample))
 }
 
 #[cfg(test)]
 mod tests {
     use glam::DVec3;
 
-    use super::*;
+    use super::{super::scattering::Scattering, *};
     use crate::{
         intersect::ray::Hit,
         render::{

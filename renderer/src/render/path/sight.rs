@@ -17,7 +17,7 @@ pub(super) enum SightOf {
     Sun,
     /// The [part](sky_part) of the sky toward which the path goes on.
     Sky {
-        part: usize,
+        part: u8,
     },
 }
 
@@ -26,8 +26,8 @@ const N_SKY_PARTS: usize = 24;
 
 /// The part of the sky that lies in a direction in world space: its octant, and the axis that it is nearest to. What stands beside
 /// a surface hides the same parts from its neighbours, wherever these face.
-pub(super) fn sky_part(direction: Vec3) -> usize {
-    direction.abs().max_position() * 8 + direction.is_negative_bitmask() as usize
+pub(super) fn sky_part(direction: Vec3) -> u8 {
+    (direction.abs().max_position() * 8) as u8 + direction.is_negative_bitmask() as u8
 }
 
 /// Number of lights that rays are sent to: the sun, and the parts of the sky.
@@ -38,7 +38,7 @@ impl SightOf {
     fn index(self) -> usize {
         match self {
             Self::Sun => 0,
-            Self::Sky { part } => 1 + part,
+            Self::Sky { part } => 1 + usize::from(part),
         }
     }
 }
@@ -141,7 +141,7 @@ mod tests {
         let signs = |octant: usize| [0, 1, 2].map(|axis| if octant >> axis & 1 == 0 { 1.0 } else { -1.0 });
         let directions = middle.iter().flat_map(|&middle| (0..8).map(move |octant| middle * Vec3::from(signs(octant))));
         let parts: Vec<_> = directions.map(sky_part).collect();
-        assert_eq!(parts, (0..N_SKY_PARTS).collect::<Vec<_>>());
+        assert_eq!(parts, (0..N_SKY_PARTS as u8).collect::<Vec<_>>());
     }
 
     #[test]

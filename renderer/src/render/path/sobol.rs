@@ -11,7 +11,7 @@
 
 use shared::division::TILE_SIZE;
 
-use crate::render::sampling::hash_u32;
+use crate::render::{sampling::hash_u32, surface::N};
 
 /// The random numbers of one sample of a pixel.
 #[derive(Clone, Copy, Debug)]
@@ -42,6 +42,7 @@ impl PixelSample {
 
     /// A point of the unit square, 1 excluded. Points of equal `dimension` fill it evenly over the samples of a pixel, and
     /// over those of neighbouring pixels of a tile; those of others are independent.
+    #[inline(always)]
     pub(super) fn pair(self, dimension: u32) -> [f32; 2] {
         let seed = hash_u32(self.seed ^ hash_u32(dimension));
         // Halves of the tile, of these, and so on change places by chance, so that no pattern repeats.
@@ -53,8 +54,32 @@ impl PixelSample {
             let seed = hash_u32(seed ^ SEED_OF_AXES[axis]);
             let bits = scramble_reversed((coordinates[axis] ^ shift[axis]).reverse_bits(), seed).reverse_bits();
             // 24 bits, so that no number is rounded up to 1.
-            (bits >> 8) as f32 * (1.0 / 16_777_216.0)
+            (bits >> 8) as i32 as f32 * (1.0 / 16_777_216.0)
         })
+    }
+}
+
+/// Samples of [`N`] paths, in a form for loops that the compiler turns into vector instructions.
+pub(super) struct PixelSamples {
+    seeds: [u32; N],
+    places: [u32; N],
+    reversed: [u32; N],
+}
+
+impl PixelSamples {
+    #[inline(always)]
+    pub(super) fn of(sample: impl Fn(usize) -> PixelSample) -> Self {
+        let mut samples = Self { seeds: [0; N], places: [0; N], reversed: [0; N] };
+        for lane in 0..N {
+            let PixelSample { seed, place, reversed } = sample(lane);
+            (samples.seeds[lane], samples.places[lane], samples.reversed[lane]) = (seed, place, reversed);
+        }
+        samples
+    }
+
+    #[inline(always)]
+    pub(super) fn get(&self, lane: usize) -> PixelSample {
+        PixelSample { seed: self.seeds[lane], place: self.places[lane], reversed: self.reversed[lane] }
     }
 }
 
@@ -93,6 +118,7 @@ const SHIFTS: [[u32; 2]; 64] = {
 };
 
 /// Owen's scrambling of a number with reversed bits: each bit may flip by those below it.
+#[inline(always)]
 fn scramble_reversed(mut x: u32, seed: u32) -> u32 {
     x ^= x.wrapping_mul(0x3d20_adea);
     x = x.wrapping_add(seed);
@@ -103,6 +129,7 @@ fn scramble_reversed(mut x: u32, seed: u32) -> u32 {
 
 /// The second coordinate of Sobol's sequence from the first: Pascal's matrix modulo 2, after Ahmed, "An Implementation
 /// Algorithm of 2D Sobol Sequence Fast, Elegant, and Compact" (2024).
+#[inline(always)]
 fn pascal(mut x: u32) -> u32 {
     x ^= x << 16;
     x ^= (x & 0x00ff_00ff) << 8;

@@ -67,9 +67,9 @@ pub(super) fn colored(mesh: Mesh, color: [u8; 3]) -> Mesh {
 
 /// Nothing but a sky.
 fn set_sky(tracer: &mut PathTracer<'_>, zenith: Vec3, ground: Vec3) {
-    tracer.sun = Sun::new(DVec3::Y, 4.0, Vec3::ZERO);
+    tracer.lights.sun = Sun::new(DVec3::Y, 4.0, Vec3::ZERO);
     tracer.lamp = None;
-    tracer.sky = Sky { up: Vec3::Y, zenith, ground };
+    tracer.lights.sky = Sky { up: Vec3::Y, zenith, ground };
 }
 
 /// The mean light of `n_samples` samples at each hit of a frame, with the hit and the point.
@@ -269,9 +269,9 @@ fn the_sun_s_shadow_has_the_penumbra_of_a_disc() {
     let spec = spec(DVec3::new(-0.3, 0.5, 0.0), DVec3::new(0.02, 0.0, 0.0), 0);
     let degrees = 30.0f64;
     let all = lights(&scene, &spec, 256, |tracer| {
-        tracer.sun = Sun::new(DVec3::Y, degrees, Vec3::ONE);
+        tracer.lights.sun = Sun::new(DVec3::Y, degrees, Vec3::ONE);
         tracer.lamp = None;
-        tracer.sky = Sky { up: Vec3::Y, zenith: Vec3::ZERO, ground: Vec3::ZERO };
+        tracer.lights.sky = Sky { up: Vec3::Y, zenith: Vec3::ZERO, ground: Vec3::ZERO };
     });
     let (mut n_partly, mut errors) = (0, Vec::new());
     for (_, point, light) in all.into_iter().filter(|(hit, ..)| scene.mesh().file_index(hit.triangle) < 2) {
@@ -311,7 +311,8 @@ fn gloss_reflects_no_more_than_all_light() {
             let n = 1 << 14;
             let (mut followed, mut squares, mut everywhere, mut density) = (0.0, 0.0, 0.0, 0.0);
             for index in 0..n {
-                let weight = scattering.sample(random(index, 0)[0], random(index, 1)).map_or(0.0, |next| next.weight.x);
+                let next = scattering.sample(random(index, 0)[0], random(index, 1));
+                let weight = if next.density > 0.0 { next.weight.x } else { 0.0 };
                 followed += f64::from(weight) / f64::from(n);
                 squares += f64::from(weight * weight) / f64::from(n);
                 let [u, v] = random(index, 2);
