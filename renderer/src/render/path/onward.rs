@@ -68,76 +68,62 @@ impl Outgoing {
         onwards.clear();
         departures.extend(vertices.iter().enumerate().map(|(vertex, of)| Departure { vertex, sample: of.path.sample }));
         // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-        unsafe { instructions.call(ToLights { lights, vertices, departures, bounce, found: to_lights }) }
+        unsafe {
+            instructions.call(Directions::<ToLightLanes> { lights, vertices, departures, bounce, found: to_lights });
+        }
         departures.clear();
         for (vertex, PathVertex { path, .. }) in vertices.iter().enumerate() {
             let samples = (0..path.sharing.n_paths).map(|number| path.sample_alone(number));
             departures.extend(samples.map(|sample| Departure { vertex, sample }));
         }
         // SAFETY: as above.
-        unsafe { instructions.call(Onwards { lights, vertices, departures, bounce, found: onwards }) }
+        unsafe { instructions.call(Directions::<OnwardLanes> { lights, vertices, departures, bounce, found: onwards }) }
     }
 }
 
-/// Finds [`Outgoing::to_lights`].
-struct ToLights<'a> {
+/// Finds directions of one kind.
+struct Directions<'a, L: Lanes> {
     lights: &'a Lights<'a>,
     vertices: &'a [PathVertex<'a>],
     departures: &'a [Departure],
     bounce: u8,
-    found: &'a mut Vec<ToLight>,
+    found: &'a mut Vec<L::Direction>,
 }
 
-/// Finds [`Outgoing::onwards`].
-struct Onwards<'a> {
-    lights: &'a Lights<'a>,
-    vertices: &'a [PathVertex<'a>],
-    departures: &'a [Departure],
-    bounce: u8,
-    found: &'a mut Vec<Onward>,
-}
-
-impl Kernel for ToLights<'_> {
+impl<L: Lanes> Kernel for Directions<'_, L> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self) {
         let Self { lights, vertices, departures, bounce, found } = self;
         for departures in departures.chunks(N) {
-            let (scatterings, samples) = lanes_of(vertices, departures);
-            let mut lanes = ToLightLanes::sample(lights, &samples, bounce);
-            if scatterings.are_matte {
-                lanes.scatter::<false>(&scatterings);
+            // Lanes beyond the last repeat it.
+            let at = |lane: usize| departures[lane.min(departures.len() - 1)];
+            let scatterings = Scatterings::of(|lane| &vertices[at(lane).vertex].scattering);
+            let samples = PixelSamples::of(|lane| at(lane).sample);
+            let lanes = if scatterings.are_matte {
+                L::find::<false>(lights, &scatterings, &samples, bounce)
             } else {
-                lanes.scatter::<true>(&scatterings);
-            }
-            for lane in 0..departures.len() {
-                let (direction, light) = (get(&lanes.directions, lane), get(&lanes.lights, lane));
-                found.push(ToLight { direction, light, random: lanes.randoms[lane] });
-            }
-        }
-    }
-}
-
-impl Kernel for Onwards<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<S: Simd>(self) {
-        let Self { lights, vertices, departures, bounce, found } = self;
-        for departures in departures.chunks(N) {
-            let (scatterings, samples) = lanes_of(vertices, departures);
-            let mut lanes = if scatterings.are_matte {
-                OnwardLanes::sample::<false>(&scatterings, &samples, bounce)
-            } else {
-                OnwardLanes::sample::<true>(&scatterings, &samples, bounce)
+                L::find::<true>(lights, &scatterings, &samples, bounce)
             };
-            lanes.escape(lights);
             for lane in 0..departures.len() {
                 found.push(lanes.get(lane));
             }
         }
     }
+}
+
+/// [`N`] directions of one kind.
+trait Lanes {
+    type Direction;
+    /// Finds the directions from surfaces; `REFLECTS` unless all are matte.
+    fn find<const REFLECTS: bool>(
+        lights: &Lights<'_>,
+        scatterings: &Scatterings,
+        samples: &PixelSamples,
+        bounce: u8,
+    ) -> Self;
+    fn get(&self, lane: usize) -> Self::Direction;
 }
 
 /// [`N`] directions to lights.
@@ -151,9 +137,16 @@ struct ToLightLanes {
     randoms: [f32; N],
 }
 
-impl ToLightLanes {
+impl Lanes for ToLightLanes {
+    type Direction = ToLight;
+
     #[inline(always)]
-    fn sample(lights: &Lights<'_>, samples: &PixelSamples, bounce: u8) -> Self {
+    fn find<const REFLECTS: bool>(
+        lights: &Lights<'_>,
+        scatterings: &Scatterings,
+        samples: &PixelSamples,
+        bounce: u8,
+    ) -> Self {
         let [directions, radiances, of_surfaces] = [[[0.0; N]; 3]; 3];
         let mut lanes = Self { directions, radiances, lights: of_surfaces, densities: [0.0; N], randoms: [0.0; N] };
         match &lights.sky_map {
@@ -169,26 +162,27 @@ impl ToLightLanes {
             }
         }
         for lane in 0..N {
+            let (part, density) = scatterings.get::<REFLECTS>(lane).toward(get(&lanes.directions, lane));
+            let light = part * get(&lanes.radiances, lane) * (1.0 / (lanes.densities[lane] + density));
+            set(&mut lanes.lights, lane, light);
             lanes.randoms[lane] = samples.get(lane).pair(dimension(bounce, 1))[1];
         }
         lanes
     }
 
     #[inline(always)]
+    fn get(&self, lane: usize) -> ToLight {
+        let (direction, light) = (get(&self.directions, lane), get(&self.lights, lane));
+        ToLight { direction, light, random: self.randoms[lane] }
+    }
+}
+
+impl ToLightLanes {
+    #[inline(always)]
     fn set(&mut self, lane: usize, LightSample { direction, radiance, density }: LightSample) {
         set(&mut self.directions, lane, direction);
         set(&mut self.radiances, lane, radiance);
         self.densities[lane] = density;
-    }
-
-    /// Finds what surfaces scatter of the lights.
-    #[inline(always)]
-    fn scatter<const REFLECTS: bool>(&mut self, scatterings: &Scatterings) {
-        for lane in 0..N {
-            let (part, density) = scatterings.get::<REFLECTS>(lane).toward(get(&self.directions, lane));
-            let light = part * get(&self.radiances, lane) * (1.0 / (self.densities[lane] + density));
-            set(&mut self.lights, lane, light);
-        }
     }
 }
 
@@ -202,9 +196,16 @@ struct OnwardLanes {
     randoms: [f32; N],
 }
 
-impl OnwardLanes {
+impl Lanes for OnwardLanes {
+    type Direction = Onward;
+
     #[inline(always)]
-    fn sample<const REFLECTS: bool>(scatterings: &Scatterings, samples: &PixelSamples, bounce: u8) -> Self {
+    fn find<const REFLECTS: bool>(
+        lights: &Lights<'_>,
+        scatterings: &Scatterings,
+        samples: &PixelSamples,
+        bounce: u8,
+    ) -> Self {
         let [directions, weights, escaped] = [[[0.0; N]; 3]; 3];
         let (densities, randoms, are_diffuse) = ([0.0; N], [0.0; N], [false; N]);
         let mut lanes = Self { directions, weights, escaped, densities, are_diffuse, randoms };
@@ -220,27 +221,22 @@ impl OnwardLanes {
             lanes.are_diffuse[lane] = is_diffuse;
             lanes.randoms[lane] = random;
         }
-        lanes
-    }
-
-    /// Finds the light of sun and sky.
-    #[inline(always)]
-    fn escape(&mut self, lights: &Lights<'_>) {
         match &lights.sky_map {
             Some(sky) => {
                 for lane in 0..N {
-                    let light = sky.toward(get(&self.directions, lane)).escaped(self.densities[lane]);
-                    set(&mut self.escaped, lane, light);
+                    let light = sky.toward(get(&lanes.directions, lane)).escaped(lanes.densities[lane]);
+                    set(&mut lanes.escaped, lane, light);
                 }
             }
             None => {
                 for lane in 0..N {
-                    let direction = get(&self.directions, lane);
-                    let of_sun = lights.sun.toward(direction).escaped(self.densities[lane]);
-                    set(&mut self.escaped, lane, lights.sky.radiance(direction) + of_sun);
+                    let direction = get(&lanes.directions, lane);
+                    let of_sun = lights.sun.toward(direction).escaped(lanes.densities[lane]);
+                    set(&mut lanes.escaped, lane, lights.sky.radiance(direction) + of_sun);
                 }
             }
         }
+        lanes
     }
 
     #[inline(always)]
@@ -256,13 +252,6 @@ impl OnwardLanes {
 #[inline(always)]
 fn dimension(bounce: u8, number: u32) -> u32 {
     DIMENSIONS * u32::from(bounce) + number
-}
-
-/// The surfaces and samples of up to [`N`] departures: lanes beyond the last repeat it.
-#[inline(always)]
-fn lanes_of(vertices: &[PathVertex<'_>], departures: &[Departure]) -> (Scatterings, PixelSamples) {
-    let at = |lane: usize| departures[lane.min(departures.len() - 1)];
-    (Scatterings::of(|lane| &vertices[at(lane).vertex].scattering), PixelSamples::of(|lane| at(lane).sample))
 }
 
 #[cfg(test)]
