@@ -99,12 +99,15 @@ impl<L: Lanes> Kernel for Directions<'_, L> {
         for departures in departures.chunks(N) {
             // Lanes beyond the last repeat it.
             let at = |lane: usize| departures[lane.min(departures.len() - 1)];
-            let scatterings = Scatterings::of(|lane| &vertices[at(lane).vertex].scattering);
-            let samples = PixelSamples::of(|lane| at(lane).sample);
-            let lanes = if scatterings.are_matte {
-                L::find::<false>(lights, &scatterings, &samples, bounce)
+            let from = Gathered {
+                scatterings: Scatterings::of(|lane| &vertices[at(lane).vertex].scattering),
+                samples: PixelSamples::of(|lane| at(lane).sample),
+                bounce,
+            };
+            let lanes = if from.scatterings.are_matte {
+                L::find::<false>(lights, &from)
             } else {
-                L::find::<true>(lights, &scatterings, &samples, bounce)
+                L::find::<true>(lights, &from)
             };
             for lane in 0..departures.len() {
                 found.push(lanes.get(lane));
@@ -113,16 +116,26 @@ impl<L: Lanes> Kernel for Directions<'_, L> {
     }
 }
 
+/// [`N`] surfaces, and the samples of the paths that go on from them.
+struct Gathered {
+    scatterings: Scatterings,
+    samples: PixelSamples,
+    bounce: u8,
+}
+
+impl Gathered {
+    /// A pair of random numbers of a lane's sample; each bounce has [`DIMENSIONS`] of them.
+    #[inline(always)]
+    fn random(&self, lane: usize, number: u32) -> [f32; 2] {
+        self.samples.get(lane).pair(DIMENSIONS * u32::from(self.bounce) + number)
+    }
+}
+
 /// [`N`] directions of one kind.
 trait Lanes {
     type Direction;
     /// Finds the directions from surfaces; `REFLECTS` unless all are matte.
-    fn find<const REFLECTS: bool>(
-        lights: &Lights<'_>,
-        scatterings: &Scatterings,
-        samples: &PixelSamples,
-        bounce: u8,
-    ) -> Self;
+    fn find<const REFLECTS: bool>(lights: &Lights<'_>, from: &Gathered) -> Self;
     fn get(&self, lane: usize) -> Self::Direction;
 }
 
@@ -141,31 +154,26 @@ impl Lanes for ToLightLanes {
     type Direction = ToLight;
 
     #[inline(always)]
-    fn find<const REFLECTS: bool>(
-        lights: &Lights<'_>,
-        scatterings: &Scatterings,
-        samples: &PixelSamples,
-        bounce: u8,
-    ) -> Self {
+    fn find<const REFLECTS: bool>(lights: &Lights<'_>, from: &Gathered) -> Self {
         let [directions, radiances, of_surfaces] = [[[0.0; N]; 3]; 3];
         let mut lanes = Self { directions, radiances, lights: of_surfaces, densities: [0.0; N], randoms: [0.0; N] };
         match &lights.sky_map {
             Some(sky) => {
                 for lane in 0..N {
-                    lanes.set(lane, sky.sample(samples.get(lane).pair(dimension(bounce, 0))));
+                    lanes.set(lane, sky.sample(from.random(lane, 0)));
                 }
             }
             None => {
                 for lane in 0..N {
-                    lanes.set(lane, lights.sun.sample(samples.get(lane).pair(dimension(bounce, 0))));
+                    lanes.set(lane, lights.sun.sample(from.random(lane, 0)));
                 }
             }
         }
         for lane in 0..N {
-            let (part, density) = scatterings.get::<REFLECTS>(lane).toward(get(&lanes.directions, lane));
+            let (part, density) = from.scatterings.get::<REFLECTS>(lane).toward(get(&lanes.directions, lane));
             let light = part * get(&lanes.radiances, lane) * (1.0 / (lanes.densities[lane] + density));
             set(&mut lanes.lights, lane, light);
-            lanes.randoms[lane] = samples.get(lane).pair(dimension(bounce, 1))[1];
+            lanes.randoms[lane] = from.random(lane, 1)[1];
         }
         lanes
     }
@@ -200,21 +208,14 @@ impl Lanes for OnwardLanes {
     type Direction = Onward;
 
     #[inline(always)]
-    fn find<const REFLECTS: bool>(
-        lights: &Lights<'_>,
-        scatterings: &Scatterings,
-        samples: &PixelSamples,
-        bounce: u8,
-    ) -> Self {
+    fn find<const REFLECTS: bool>(lights: &Lights<'_>, from: &Gathered) -> Self {
         let [directions, weights, escaped] = [[[0.0; N]; 3]; 3];
         let (densities, randoms, are_diffuse) = ([0.0; N], [0.0; N], [false; N]);
         let mut lanes = Self { directions, weights, escaped, densities, are_diffuse, randoms };
         for lane in 0..N {
-            let sample = samples.get(lane);
-            let [choice, random] = sample.pair(dimension(bounce, 1));
-            let at = sample.pair(dimension(bounce, 2));
+            let [choice, random] = from.random(lane, 1);
             let ScatterSample { direction, weight, density, is_diffuse } =
-                scatterings.get::<REFLECTS>(lane).sample(choice, at);
+                from.scatterings.get::<REFLECTS>(lane).sample(choice, from.random(lane, 2));
             set(&mut lanes.directions, lane, direction);
             set(&mut lanes.weights, lane, weight);
             lanes.densities[lane] = density;
@@ -246,12 +247,6 @@ impl Lanes for OnwardLanes {
         let sample = ScatterSample { direction, weight, density, is_diffuse };
         Onward { sample, escaped: get(&self.escaped, lane), random: self.randoms[lane] }
     }
-}
-
-/// The number of a pair of random numbers among those of a sample; each bounce has [`DIMENSIONS`].
-#[inline(always)]
-fn dimension(bounce: u8, number: u32) -> u32 {
-    DIMENSIONS * u32::from(bounce) + number
 }
 
 #[cfg(test)]

@@ -48,7 +48,7 @@ pub(super) struct NextRays {
 }
 
 impl NextRays {
-    /// None yet, with room for those of so many paths: to make room later took 2 % of a picture's time.
+    /// None yet, with room for those of so many paths: to make room later took a hundredth of a picture's time.
     pub(super) fn of(n_paths: usize) -> Self {
         Self {
             shadow_rays: Vec::with_capacity(n_paths),

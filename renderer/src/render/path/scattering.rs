@@ -162,7 +162,7 @@ pub(super) struct Scatterings {
     normals: Vectors,
     to_eyes: Vectors,
     diffuses: Vectors,
-    /// Whether no surface reflects light; then the rest is undefined.
+    /// Whether no surface reflects light; then directions to the eye and what follows are undefined.
     pub(super) are_matte: bool,
     facings: Vectors,
     grazings: [f32; N],

@@ -53,7 +53,7 @@ impl PixelSample {
         std::array::from_fn(|axis| {
             let seed = hash_u32(seed ^ SEED_OF_AXES[axis]);
             let bits = scramble_reversed((coordinates[axis] ^ shift[axis]).reverse_bits(), seed).reverse_bits();
-            // 24 bits, so that no number is rounded up to 1.
+            // 24 bits, so that no number is rounded up to 1; signed, because AVX2 converts no others.
             (bits >> 8) as i32 as f32 * (1.0 / 16_777_216.0)
         })
     }
