@@ -299,13 +299,12 @@ impl TracedMesh {
     /// Gathers the linear colours of vertices by channel into as many lanes as a vector has; the mesh must have colours.
     #[inline(always)]
     pub(crate) fn gather_colors<S: Simd>(&self, vertices: &[u32; 16], to: &mut [[f32; 16]; 3], first: usize) {
-        let (mut colors, mut values) = ([0; 16], [0; 16]);
+        let mut colors = [0u32; 16];
         S::gather_bits(&self.colors, vertices).store_bits(&mut colors);
         for (channel, to) in to.iter_mut().enumerate() {
-            for lane in 0..16 {
-                values[lane] = u32::from(colors[lane].to_ne_bytes()[channel]);
+            for (to, color) in to[first..first + S::LANES].iter_mut().zip(&colors) {
+                *to = srgb::decode_nearly(color.to_ne_bytes()[channel]);
             }
-            S::gather_bits(&srgb::DECODED, &values).store(&mut to[first..]);
         }
     }
 
