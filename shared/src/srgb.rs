@@ -56,7 +56,16 @@ pub fn decode(value: u8) -> f32 {
 #[inline(always)]
 pub fn decode_nearly(value: u8) -> f32 {
     // (light - 1) / (encoded - 1), fitted to the curve at all values above the straight part, errors weighed by the curve's slope.
-    const COEFFICIENTS: [f32; 8] = [-0.126_182_97, 0.446_910_6, -0.676_591_16, 0.605_224_85, -0.421_540_44, 0.484_213_62, 0.963_449_1, 0.999_154_7];
+    const COEFFICIENTS: [f32; 8] = [
+        -0.126_182_97,
+        0.446_910_6,
+        -0.676_591_16,
+        0.605_224_85,
+        -0.421_540_44,
+        0.484_213_62,
+        0.963_449_1,
+        0.999_154_7,
+    ];
     let encoded = f32::from(value) / 255.0;
     let mut ratio = COEFFICIENTS[0];
     for coefficient in &COEFFICIENTS[1..] {

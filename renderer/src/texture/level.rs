@@ -141,18 +141,18 @@ fn wrapped(coordinate: f32, wrap: Wrap) -> f32 {
     }
 }
 
-/// The distance from the next lower integer, from 0 to 1; 0 for numbers so large that `f32` halves them at best, and for NaN.
+/// The distance from the next lower integer, from 0 to 1; 0 for NaN and infinity.
 #[inline(always)]
 fn fraction(x: f32) -> f32 {
-    floor(if x.abs() < LONGEST_SIDE as f32 { x } else { 0.0 }).1
+    let fraction = x - x.floor();
+    if fraction < 1.0 { fraction } else { 0.0 }
 }
 
 /// The next lower integer, and the distance from it; `x` is at most [`LONGEST_SIDE`] from 0.
 #[inline(always)]
 fn floor(x: f32) -> (i32, f32) {
-    let (rounded, integer) = round(x);
-    let down = i32::from(rounded > x);
-    (integer - down, x - (rounded - down as f32))
+    let lower = x.floor();
+    (round(lower).1, x - lower)
 }
 
 /// The nearest integer, as both kinds of number; `x` is at most [`LONGEST_SIDE`] from 0.

@@ -40,8 +40,6 @@ struct Plans {
     n_lookups: [u32; 64],
     /// The part that a lookup has of the light, on the level and on the next.
     weights: [[f32; 64]; 2],
-    /// Columns and rows of the level and of the next.
-    sizes: [[[u32; 64]; 2]; 2],
     /// Indices of the first texels of the level and of the next.
     firsts: [[u32; 64]; 2],
 }
@@ -68,6 +66,10 @@ impl Kernel for Means<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self) {
+        if let Some(lights) = self.magnified::<S>() {
+            *self.means = lights;
+            return;
+        }
         let mut plans = self.plans();
         let n = self.footprints.n;
         let order = if plans.would_save_steps() { Some(plans.order::<S>()) } else { None };
@@ -89,6 +91,35 @@ impl Kernel for Means<'_> {
 }
 
 impl Means<'_> {
+    /// The light of samples that all show less than a texel, which needs one lookup for each. `None` if some show more.
+    ///
+    /// Close to a surface most samples are such; they get by without plans, which take as long as their lookups.
+    #[inline(always)]
+    fn magnified<S: Simd>(&self) -> Option<[[f32; 64]; 3]> {
+        let size = self.map.levels[0].size;
+        let [width, height] = size.map(|side| side as i32 as f32);
+        let n_chunks = self.footprints.n.div_ceil(N);
+        let mut points = [Points::NONE; N_CHUNKS];
+        for (points, footprints) in points.iter_mut().zip(&self.footprints.lanes[..n_chunks]) {
+            let (mut u, mut v, mut n_magnified) = ([0.0; N], [0.0; N], 0);
+            for lane in 0..N {
+                let footprint = footprints.get(lane).transformed(self.transform);
+                (u[lane], v[lane]) = (footprint.centre.x, footprint.centre.y);
+                n_magnified += u32::from(footprint.is_magnified(Vec2::new(width, height)));
+            }
+            if n_magnified < N as u32 {
+                return None;
+            }
+            points.weights = [1.0; N];
+            points.find_texels(&u, &v, &size.map(|side| [side; N]), &[0; N], self.wrap);
+        }
+        let mut lights = [[0.0; 64]; 3];
+        for (chunk, points) in points.iter().enumerate().take(n_chunks) {
+            points.blend::<S>(self.map, chunk, &mut lights);
+        }
+        Some(scaled(lights))
+    }
+
     /// Covers each footprint by squares, and blends two levels for each.
     #[inline(always)]
     fn plans(&self) -> Plans {
@@ -103,7 +134,6 @@ impl Means<'_> {
             level: [0; 64],
             n_lookups: [0; 64],
             weights: [[0.0; 64]; 2],
-            sizes: [[[1; 64]; 2]; 2],
             firsts: [[0; 64]; 2],
         };
         let chunks = footprints.lanes.iter().take(footprints.n.div_ceil(footprint::N));
@@ -181,10 +211,10 @@ impl Plans {
         }
     }
 
-    /// Finds the sizes of levels, and where their texels begin.
+    /// Finds where the texels of levels begin.
     #[inline(always)]
     fn find_levels(&mut self, of_map: &[Level]) {
-        let Self { level: levels, sizes, firsts, .. } = self;
+        let Self { level: levels, firsts, .. } = self;
         // Most samples of a tile show one or two levels, and a comparison for each of these is faster than a search by sample.
         let [finest, coarsest] = [levels.iter().min(), levels.iter().max()].map(|level| level.copied().unwrap_or(0));
         for level in finest..=coarsest {
@@ -195,57 +225,66 @@ impl Plans {
                 }
             }
         }
-        let size = of_map[0].size;
-        for (next, sizes) in sizes.iter_mut().enumerate() {
-            for sample in 0..64 {
-                let level = levels[sample] + next as u32;
-                (sizes[0][sample], sizes[1][sample]) = (halved(size[0], level), halved(size[1], level));
-            }
-        }
     }
 
     /// The mean light of each sample.
     #[inline(always)]
     fn lights<S: Simd>(&self, map: &MipMap, wrap: [Wrap; 2]) -> [[f32; 64]; 3] {
         let mut lights = [[0.0; 64]; 3];
-        let mut points = [Points::NONE; N_CHUNKS];
+        let mut points = [[Points::NONE; N_CHUNKS]; 2];
         let n_lookups = self.n_lookups.iter().copied().max().unwrap_or(0);
-        if n_lookups > 0 {
-            self.look_up::<S, true>(0, map, wrap, &mut points, &mut lights);
+        // Find the texels of the next lookups before the present ones are read: memory delivers them meanwhile.
+        let mut present = self.chunks_with(0);
+        for &chunk in present.as_slice() {
+            points[0][chunk].find::<S, true>(self, chunk, 0, map, wrap);
         }
-        for number in 1..n_lookups {
-            self.look_up::<S, false>(number, map, wrap, &mut points, &mut lights);
+        for number in 1..=n_lookups {
+            let [even, odd] = &mut points;
+            let (of_present, of_next) = if number % 2 == 1 { (even, odd) } else { (odd, even) };
+            let next = self.chunks_with(number);
+            for &chunk in next.as_slice() {
+                of_next[chunk].find::<S, false>(self, chunk, number, map, wrap);
+            }
+            for &chunk in present.as_slice() {
+                of_present[chunk].blend::<S>(map, chunk, &mut lights);
+            }
+            present = next;
         }
-        for (lights, unit) in lights.iter_mut().zip(UNITS) {
-            lights.iter_mut().for_each(|light| *light *= unit);
-        }
-        lights
+        scaled(lights)
     }
 
-    /// Adds the light of the lookups of a number.
+    /// The chunks of which some samples have a lookup of this number.
     #[inline(always)]
-    fn look_up<S: Simd, const IS_FIRST: bool>(
-        &self,
-        number: u32,
-        map: &MipMap,
-        wrap: [Wrap; 2],
-        points: &mut [Points; N_CHUNKS],
-        lights: &mut [[f32; 64]; 3],
-    ) {
-        let mut chunks = [0; N_CHUNKS];
-        let mut n_chunks = 0;
+    fn chunks_with(&self, number: u32) -> Chunks {
+        let mut chunks = Chunks { chunks: [0; N_CHUNKS], n: 0 };
         for chunk in 0..N_CHUNKS {
-            chunks[n_chunks] = chunk;
-            n_chunks += usize::from(lanes(&self.n_lookups, chunk).iter().any(|&n_lookups| number < n_lookups));
+            chunks.chunks[chunks.n] = chunk;
+            chunks.n += usize::from(lanes(&self.n_lookups, chunk).iter().any(|&n_lookups| number < n_lookups));
         }
-        // Find the texels of all samples before the first are read: memory delivers them meanwhile.
-        for &chunk in &chunks[..n_chunks] {
-            points[chunk].find::<S, IS_FIRST>(self, chunk, number, map, wrap);
-        }
-        for &chunk in &chunks[..n_chunks] {
-            points[chunk].blend::<S>(map, chunk, lights);
-        }
+        chunks
     }
+}
+
+/// Some of the chunks.
+struct Chunks {
+    chunks: [usize; N_CHUNKS],
+    n: usize,
+}
+
+impl Chunks {
+    #[inline(always)]
+    fn as_slice(&self) -> &[usize] {
+        &self.chunks[..self.n]
+    }
+}
+
+/// Lights by channel, in units of [`UNITS`] before.
+#[inline(always)]
+fn scaled(mut lights: [[f32; 64]; 3]) -> [[f32; 64]; 3] {
+    for (lights, unit) in lights.iter_mut().zip(UNITS) {
+        lights.iter_mut().for_each(|light| *light *= unit);
+    }
+    lights
 }
 
 /// Sorts the numbers of samples; those beyond them are undefined.
@@ -283,11 +322,10 @@ impl Points {
         let [first_u, first_v] = plans.first.each_ref().map(|numbers| lanes(numbers, chunk));
         let [step_u, step_v] = plans.step.each_ref().map(|numbers| lanes(numbers, chunk));
         let [of_level, of_next] = plans.weights.each_ref().map(|numbers| lanes(numbers, chunk));
-        let [size, next_size] =
-            plans.sizes.each_ref().map(|sizes| sizes.each_ref().map(|numbers| lanes(numbers, chunk)));
         let [first, next_first] = plans.firsts.each_ref().map(|numbers| lanes(numbers, chunk));
         let (mut u, mut v) = ([0.0; N], [0.0; N]);
-        let (mut widths, mut heights, mut firsts) = ([1; N], [1; N], [0; N]);
+        let (mut sizes, mut firsts) = ([[1; N]; 2], [0; N]);
+        let (levels, size) = (lanes(&plans.level, chunk), map.levels[0].size);
         for n in 0..N {
             // The first lookup is on the level. A lane without one repeats its last: other texels would be fetched for nothing.
             let own = if IS_FIRST { number } else { number.min(n_lookups[n].wrapping_sub(1)) };
@@ -297,12 +335,23 @@ impl Points {
             v[n] = first_v[n] + if IS_FIRST { 0.0 } else { step_v[n] * square };
             let weight = select(is_next, of_level[n].to_bits(), of_next[n].to_bits());
             self.weights[n] = if number < n_lookups[n] { f32::from_bits(weight) } else { 0.0 };
-            widths[n] = select(is_next, size[0][n], next_size[0][n]);
-            heights[n] = select(is_next, size[1][n], next_size[1][n]);
+            let level = levels[n] + u32::from(is_next);
+            (sizes[0][n], sizes[1][n]) = (halved(size[0], level), halved(size[1], level));
             firsts[n] = select(is_next, first[n], next_first[n]);
         }
-        let (lefts, rights, x) = neighbours_of_all(&u, &widths, wrap[0]);
-        let (uppers, lowers, y) = neighbours_of_all(&v, &heights, wrap[1]);
+        self.find_texels(&u, &v, &sizes, &firsts, wrap);
+        // The other three mostly lie in the same cache line.
+        for n in 0..N {
+            S::prefetch(&map.texels, self.indices[0][n] as usize);
+        }
+    }
+
+    /// Finds the texels around points of levels of some sizes, whose first texels are `firsts`.
+    #[inline(always)]
+    fn find_texels(&mut self, u: &[f32; N], v: &[f32; N], sizes: &[[u32; N]; 2], firsts: &[u32; N], wrap: [Wrap; 2]) {
+        let [widths, heights] = sizes;
+        let (lefts, rights, x) = neighbours_of_all(u, widths, wrap[0]);
+        let (uppers, lowers, y) = neighbours_of_all(v, heights, wrap[1]);
         (self.x, self.y) = (x, y);
         for n in 0..N {
             let upper = firsts[n] + row_offset(uppers[n], blocks_per_row(widths[n]));
@@ -310,10 +359,6 @@ impl Points {
             let (left, right) = (column_offset(lefts[n]), column_offset(rights[n]));
             (self.indices[0][n], self.indices[1][n]) = (upper + left, upper + right);
             (self.indices[2][n], self.indices[3][n]) = (lower + left, lower + right);
-        }
-        // The other three mostly lie in the same cache line.
-        for n in 0..N {
-            S::prefetch(&map.texels, self.indices[0][n] as usize);
         }
     }
 
@@ -386,13 +431,13 @@ fn neighbours_in_rows(
 /// The level whose texels are the next smaller than `width`, in texels of the image, and the part of the next level.
 ///
 /// A number's exponent and mantissa are its logarithm, linear between powers of two. The part changes in the middle
-/// quarter alone: other widths need one lookup. Nothing branches, so that a loop becomes vector instructions.
+/// sixth alone: other widths need one lookup. Nothing branches, so that a loop becomes vector instructions.
 #[inline(always)]
 fn level_of(width: f32) -> (u32, f32) {
     const MANTISSA: u32 = 0x007f_ffff;
     // Not less than a texel; NaN is one.
     let bits = (if width > 1.0 { width } else { 1.0 }).to_bits();
-    let part = 4.0 * (f32::from_bits(bits & MANTISSA | 1.0f32.to_bits()) - 1.0) - 1.5;
+    let part = 6.0 * (f32::from_bits(bits & MANTISSA | 1.0f32.to_bits()) - 1.0) - 2.5;
     let part = if part > 0.0 { part } else { 0.0 };
     ((bits >> 23) - 127, if part < 1.0 { part } else { 1.0 })
 }

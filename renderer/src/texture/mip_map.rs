@@ -214,6 +214,24 @@ mod tests {
     }
 
     #[test]
+    fn magnified_samples_show_the_same_alone_and_among_others() {
+        let map = MipMap::new(noise(64, 32), Encoding::Srgb);
+        let footprint = |index: usize, width: f32| {
+            let (x, y) = (index as f32 * 0.07 - 1.3, 0.9 - index as f32 * 0.013);
+            Footprint { centre: Vec2::new(x, y), sides: [Vec2::new(width / 64.0, 0.0), Vec2::new(0.0, width / 32.0)] }
+        };
+        let magnified: Vec<_> = (0..63).map(|index| footprint(index, 0.7 - 0.01 * index as f32)).collect();
+        let among_others: Vec<_> = magnified.iter().copied().chain([footprint(63, 9.0)]).collect();
+        for wrap in [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp] {
+            for instructions in InstructionSet::available() {
+                let [alone, together] =
+                    [&magnified, &among_others].map(|footprints| means(&map, [wrap; 2], footprints, instructions));
+                assert_eq!(alone, together[..63], "{wrap:?}, {instructions:?}");
+            }
+        }
+    }
+
+    #[test]
     fn lookups_anywhere_are_finite_and_equal_with_all_instructions() {
         let odd = [0.3, -7.9, 1e9, f32::NAN, f32::INFINITY, -f32::MAX, 1e-40];
         let mut footprints = Vec::new();
