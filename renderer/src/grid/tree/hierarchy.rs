@@ -233,8 +233,10 @@ impl Bounds {
 
     /// The box from `low` to `high`, rounded outward.
     pub(crate) fn new(low: DVec3, high: DVec3) -> Self {
-        let down = |x: f64| (x as f32).next_down();
-        let up = |x: f64| (x as f32).next_up();
+        // Not to subnormal numbers, as beside 0: with one, a step of a ray takes 150 cycles longer on Intel's processors, and
+        // every ray meets boxes at the bounds of the grid.
+        let down = |x: f64| (x as f32).next_down().min((x - f64::from(f32::MIN_POSITIVE)) as f32);
+        let up = |x: f64| (x as f32).next_up().max((x + f64::from(f32::MIN_POSITIVE)) as f32);
         let low = Vec3A::new(down(low.x), down(low.y), down(low.z));
         Self { low, high: Vec3A::new(up(high.x), up(high.y), up(high.z)) }
     }
@@ -435,6 +437,9 @@ mod tests {
         let (low, high) = (DVec3::new(0.1, -0.1, 1e-60), DVec3::new(0.2, 16_777_217.0, 0.0));
         let bounds = Bounds::new(low, high);
         assert!(bounds.low.as_dvec3().cmplt(low).all() && bounds.high.as_dvec3().cmpgt(high).all());
+        for side in [bounds.low, bounds.high].map(Vec3A::to_array).as_flattened() {
+            assert!(!side.is_subnormal(), "{side:e}");
+        }
     }
 
     #[test]
