@@ -19,7 +19,9 @@ use crate::{
         blocks::SampleBlock,
         lift::{Lift, LiftedPoint},
         sampling::hash_u32,
+        surface::{N, get, set},
     },
+    simd::{Kernel, Simd},
     texture::footprint::SampleRays,
 };
 
@@ -158,13 +160,14 @@ impl<'a> SecondaryRays<'a> {
         surfaces: &[Option<LiftedPoint>; 64],
         visibility: &mut [LightVisibility; 64],
     ) {
-        let (mut rays, mut sample_of_rays) = (Vec::with_capacity(64 * N_AO_RAYS), Vec::with_capacity(64));
+        let (mut seen, mut sample_of_rays) = (Vec::with_capacity(64), Vec::with_capacity(64));
         for (sample_idx, pixel) in block.samples().enumerate() {
             if let Some(surface) = &surfaces[sample_idx] {
-                rays.extend(self.ambient_rays(surface, pixel, sample));
+                seen.push(Seen { point: surface.point.as_vec3(), normal: surface.normal.as_vec3(), pixel });
                 sample_of_rays.push(sample_idx);
             }
         }
+        let mut rays = self.ambient_rays(&seen, sample);
         let mut occluded = [false; 64 * N_AO_RAYS];
         clip::occluded_rays(self.grid, self.clip.as_ref(), &mut rays, &mut occluded);
         for (sample_idx, occluded) in sample_of_rays.into_iter().zip(occluded.chunks(N_AO_RAYS)) {
@@ -173,32 +176,98 @@ impl<'a> SecondaryRays<'a> {
         }
     }
 
-    /// The ambient occlusion rays of a surface.
-    ///
-    /// Directions follow a cosine distribution, so that all rays weigh the same. Lengths differ, so that near blockers
-    /// occlude more than far ones.
-    fn ambient_rays(&self, surface: &LiftedPoint, (i, j): (u32, u32), sample: u32) -> [Ray; N_AO_RAYS] {
-        let normal = surface.normal.as_vec3();
-        let [tangent, bitangent] = tangent_basis(normal);
-        // One random offset for the strata of heights and of lengths, and one for the azimuths, per sample.
-        let random = |seed: u32| hash_u32(i ^ hash_u32(j ^ hash_u32(sample ^ seed)));
-        let fraction = |bits: u32| ((bits >> 9) as f32 + 0.5) * (1.0 / 8_388_608.0);
-        let (height, mut azimuth) = (fraction(random(11)), unit_circle(random(12)));
-        let length = fraction(random(13));
-        std::array::from_fn(|index| {
-            let r2 = (index as f32 + height) * (1.0 / N_AO_RAYS as f32);
-            let (r, z) = (r2.sqrt(), (1.0 - r2).sqrt());
-            let direction = (tangent * azimuth[0] + bitangent * azimuth[1]) * r + normal * z;
-            // The strata of lengths come in another order than those of heights.
-            let length = ((index * 3 + 1) % N_AO_RAYS) as f32 + length;
-            let t_max = self.ao_radius * (length * (1.0 / N_AO_RAYS as f32));
-            azimuth = [
-                azimuth[0] * GOLDEN_ANGLE[0] - azimuth[1] * GOLDEN_ANGLE[1],
-                azimuth[0] * GOLDEN_ANGLE[1] + azimuth[1] * GOLDEN_ANGLE[0],
-            ];
-            Ray { origin: surface.point.as_vec3(), direction, t_min: 0.0, t_max }
-        })
+    /// [`N_AO_RAYS`] ambient occlusion rays of each surface, one surface after the other.
+    fn ambient_rays(&self, seen: &[Seen], sample: u32) -> Vec<Ray> {
+        let mut rays = Vec::with_capacity(seen.len() * N_AO_RAYS);
+        let kernel = AmbientRays { seen, sample, radius: self.ao_radius, rays: &mut rays };
+        // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
+        unsafe { self.grid.instructions.call(kernel) }
+        rays
     }
+}
+
+/// A surface point that a sample shows.
+#[derive(Clone, Copy)]
+struct Seen {
+    /// Lifted off the surface; model space.
+    point: Vec3,
+    /// Unit length.
+    normal: Vec3,
+    /// Column and row of the sample's pixel.
+    pixel: (u32, u32),
+}
+
+/// Makes ambient occlusion rays of many surfaces at once: loops over arrays, which the compiler turns into vector instructions.
+struct AmbientRays<'a> {
+    seen: &'a [Seen],
+    sample: u32,
+    /// Length of the longest ray, in world units.
+    radius: f32,
+    /// To which rays are appended.
+    rays: &'a mut Vec<Ray>,
+}
+
+impl Kernel for AmbientRays<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self) {
+        for seen in self.seen.chunks(N) {
+            let (mut normals, mut pixels) = ([[0.0; N]; 3], [[0; N]; 2]);
+            for (lane, seen) in seen.iter().enumerate() {
+                set(&mut normals, lane, seen.normal);
+                (pixels[0][lane], pixels[1][lane]) = seen.pixel;
+            }
+            let (mut directions, mut lengths) = ([[[0.0; N]; 3]; N_AO_RAYS], [[0.0; N]; N_AO_RAYS]);
+            for lane in 0..N {
+                let pixel = [pixels[0][lane], pixels[1][lane]];
+                let of_lane = ambient_directions(get(&normals, lane), pixel, self.sample);
+                for ray in 0..N_AO_RAYS {
+                    set(&mut directions[ray], lane, of_lane[ray].0);
+                    lengths[ray][lane] = self.radius * of_lane[ray].1;
+                }
+            }
+            for (lane, seen) in seen.iter().enumerate() {
+                for ray in 0..N_AO_RAYS {
+                    let (direction, t_max) = (get(&directions[ray], lane), lengths[ray][lane]);
+                    self.rays.push(Ray { origin: seen.point, direction, t_min: 0.0, t_max });
+                }
+            }
+        }
+    }
+}
+
+/// The directions of a surface's ambient occlusion rays, and the length of each as a part of the longest.
+///
+/// Directions follow a cosine distribution, so that all rays weigh the same. Lengths differ, so that near blockers
+/// occlude more than far ones.
+#[inline(always)]
+fn ambient_directions(normal: Vec3, [i, j]: [u32; 2], sample: u32) -> [(Vec3, f32); N_AO_RAYS] {
+    let [tangent, bitangent] = tangent_basis(normal);
+    // One random offset for the strata of heights and of lengths, and one for the azimuths, per sample.
+    let height = fraction(hash_u32(i ^ hash_u32(j ^ hash_u32(sample ^ 11))));
+    let mut azimuth = unit_circle(hash_u32(i ^ hash_u32(j ^ hash_u32(sample ^ 12))));
+    let length = fraction(hash_u32(i ^ hash_u32(j ^ hash_u32(sample ^ 13))));
+    let mut rays = [(Vec3::ZERO, 0.0); N_AO_RAYS];
+    for index in 0..N_AO_RAYS {
+        let r2 = (index as f32 + height) * (1.0 / N_AO_RAYS as f32);
+        let (r, z) = (r2.sqrt(), (1.0 - r2).sqrt());
+        let direction = (tangent * azimuth[0] + bitangent * azimuth[1]) * r + normal * z;
+        // The strata of lengths come in another order than those of heights.
+        let length = ((index * 3 + 1) % N_AO_RAYS) as f32 + length;
+        rays[index] = (direction, length * (1.0 / N_AO_RAYS as f32));
+        azimuth = [
+            azimuth[0] * GOLDEN_ANGLE[0] - azimuth[1] * GOLDEN_ANGLE[1],
+            azimuth[0] * GOLDEN_ANGLE[1] + azimuth[1] * GOLDEN_ANGLE[0],
+        ];
+    }
+    rays
+}
+
+/// A number between 0 and 1, of the high bits.
+#[inline(always)]
+fn fraction(bits: u32) -> f32 {
+    ((bits >> 9) as i32 as f32 + 0.5) * (1.0 / 8_388_608.0)
 }
 
 /// The unit vectors opposite to the camera's direction and to the key light, whose direction is relative to the camera.
@@ -292,9 +361,10 @@ pub(super) fn tangent_basis(n: Vec3) -> [Vec3; 2] {
 }
 
 /// A point of the unit circle: the low bits choose one of eight arcs, the high bits the half-angle tangent within it.
+#[inline(always)]
 fn unit_circle(bits: u32) -> [f32; 2] {
     const TANGENT_OF_PI_8: f32 = 0.414_213_57;
-    let s = (bits >> 9) as f32 * (TANGENT_OF_PI_8 / 8_388_608.0);
+    let s = (bits >> 9) as i32 as f32 * (TANGENT_OF_PI_8 / 8_388_608.0);
     let scale = 1.0 / (1.0 + s * s);
     let (cosine, sine) = ((1.0 - s * s) * scale, 2.0 * s * scale);
     let (x, y) = if bits & 1 == 0 { (cosine, sine) } else { (sine, cosine) };

@@ -437,7 +437,7 @@ mod tests {
         let (low, high) = (DVec3::new(0.1, -0.1, 1e-60), DVec3::new(0.2, 16_777_217.0, 0.0));
         let bounds = Bounds::new(low, high);
         assert!(bounds.low.as_dvec3().cmplt(low).all() && bounds.high.as_dvec3().cmpgt(high).all());
-        for side in [bounds.low, bounds.high].map(Vec3A::to_array).as_flattened() {
+        for side in [bounds.low, bounds.high].map(|side| side.to_array()).as_flattened() {
             assert!(!side.is_subnormal(), "{side:e}");
         }
     }

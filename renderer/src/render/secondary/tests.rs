@@ -10,6 +10,7 @@ use shared::{
 use super::*;
 use crate::{
     grid::GridOptions,
+    intersect::InstructionSet,
     model::{mesh::Mesh, statue},
     render::scene::Scene,
 };
@@ -29,7 +30,8 @@ fn spec(eye: DVec3, target: DVec3, rays: LightingMode) -> FrameSpec {
 
 /// The fraction of a surface's ambient occlusion rays that hit nothing.
 fn ambient_visibility(secondary: &SecondaryRays<'_>, surface: &LiftedPoint, pixel: (u32, u32), sample: u32) -> f32 {
-    let mut rays = secondary.ambient_rays(surface, pixel, sample);
+    let seen = Seen { point: surface.point.as_vec3(), normal: surface.normal.as_vec3(), pixel };
+    let mut rays = secondary.ambient_rays(&[seen], sample);
     let mut occluded = [false; N_AO_RAYS];
     clip::occluded_rays(secondary.grid, secondary.clip.as_ref(), &mut rays, &mut occluded);
     occluded.iter().filter(|&&occluded| !occluded).count() as f32 / N_AO_RAYS as f32
@@ -289,4 +291,30 @@ fn a_stray_triangle_does_not_change_the_reach_of_light() {
     with_stray.vertices.extend([[1000.0, 0.0, 0.0], [1000.0, 1.0, 0.0], [1000.0, 0.0, 1.0]]);
     with_stray.triangles.push([first, first + 1, first + 2]);
     assert_eq!(reach(&build(with_stray)), reach(&build(mesh)));
+}
+
+#[test]
+fn ambient_rays_are_the_same_alone_and_among_others_with_all_instructions() {
+    let seen: Vec<_> = (0..37u32)
+        .map(|n| {
+            let point = Vec3::new(n as f32, -0.5 * n as f32, 3.0);
+            let normal = Vec3::new(n as f32 * 0.3 - 4.0, 1.0 - n as f32 * 0.1, (n % 5) as f32 - 2.0).normalize();
+            Seen { point, normal, pixel: (n * 71, 900 - n) }
+        })
+        .collect();
+    let rays_of = |seen: &[Seen], instructions: InstructionSet| {
+        let mut rays = Vec::new();
+        // SAFETY: the instructions are available.
+        unsafe { instructions.call(AmbientRays { seen, sample: 7, radius: 2.5, rays: &mut rays }) };
+        rays
+    };
+    let expected: Vec<_> =
+        seen.iter().flat_map(|seen| rays_of(std::slice::from_ref(seen), InstructionSet::Portable)).collect();
+    for instructions in InstructionSet::available() {
+        assert_eq!(rays_of(&seen, instructions), expected, "{instructions:?}");
+    }
+    for (ray, seen) in expected.iter().zip(seen.iter().flat_map(|seen| [seen; N_AO_RAYS])) {
+        assert!((ray.direction.length() - 1.0).abs() < 1e-5 && ray.direction.dot(seen.normal) > 0.0);
+        assert!(ray.origin == seen.point && (0.0..=2.5).contains(&ray.t_max));
+    }
 }
