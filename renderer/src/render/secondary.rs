@@ -249,13 +249,13 @@ fn ambient_directions(normal: Vec3, [i, j]: [u32; 2], sample: u32) -> [(Vec3, f3
     let mut azimuth = unit_circle(hash_u32(i ^ hash_u32(j ^ hash_u32(sample ^ 12))));
     let length = fraction(hash_u32(i ^ hash_u32(j ^ hash_u32(sample ^ 13))));
     let mut rays = [(Vec3::ZERO, 0.0); N_AO_RAYS];
-    for index in 0..N_AO_RAYS {
+    for (index, ray) in rays.iter_mut().enumerate() {
         let r2 = (index as f32 + height) * (1.0 / N_AO_RAYS as f32);
         let (r, z) = (r2.sqrt(), (1.0 - r2).sqrt());
         let direction = (tangent * azimuth[0] + bitangent * azimuth[1]) * r + normal * z;
         // The strata of lengths come in another order than those of heights.
         let length = ((index * 3 + 1) % N_AO_RAYS) as f32 + length;
-        rays[index] = (direction, length * (1.0 / N_AO_RAYS as f32));
+        *ray = (direction, length * (1.0 / N_AO_RAYS as f32));
         azimuth = [
             azimuth[0] * GOLDEN_ANGLE[0] - azimuth[1] * GOLDEN_ANGLE[1],
             azimuth[0] * GOLDEN_ANGLE[1] + azimuth[1] * GOLDEN_ANGLE[0],
