@@ -51,8 +51,8 @@ pub fn decode(value: u8) -> f32 {
     DECODED[usize::from(value)]
 }
 
-/// [`decode`] without its table, at most a thousandth of a value beside it: 0 and 255 are exact. A loop over an array becomes vector
-/// instructions, which take a quarter of the time of gathers from the table.
+/// [`decode`] without its table, at most a thousandth of a value beside it; 0 and 255 are exact. A loop over an array becomes
+/// vector instructions, which take less time than gathers from the table.
 #[inline(always)]
 pub fn decode_nearly(value: u8) -> f32 {
     // (light - 1) / (encoded - 1), fitted to the curve at all values above the straight part, errors weighed by the curve's slope.

@@ -66,7 +66,7 @@ impl Kernel for Means<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        if let Some(lights) = self.magnified::<S>() {
+        if let Some(lights) = self.lights_of_small::<S>() {
             *self.means = lights;
             return;
         }
@@ -91,23 +91,23 @@ impl Kernel for Means<'_> {
 }
 
 impl Means<'_> {
-    /// The light of samples that all show less than a texel, which needs one lookup for each. `None` if some show more.
+    /// The light of samples whose footprints are all small, which needs one lookup for each. `None` if some are not.
     ///
     /// Close to a surface most samples are such; they get by without plans, which take as long as their lookups.
     #[inline(always)]
-    fn magnified<S: Simd>(&self) -> Option<[[f32; 64]; 3]> {
+    fn lights_of_small<S: Simd>(&self) -> Option<[[f32; 64]; 3]> {
         let size = self.map.levels[0].size;
         let [width, height] = size.map(|side| side as i32 as f32);
         let n_chunks = self.footprints.n.div_ceil(N);
         let mut points = [Points::NONE; N_CHUNKS];
         for (points, footprints) in points.iter_mut().zip(&self.footprints.lanes[..n_chunks]) {
-            let (mut u, mut v, mut n_magnified) = ([0.0; N], [0.0; N], 0);
+            let (mut u, mut v, mut n_small) = ([0.0; N], [0.0; N], 0);
             for lane in 0..N {
                 let footprint = footprints.get(lane).transformed(self.transform);
                 (u[lane], v[lane]) = (footprint.centre.x, footprint.centre.y);
-                n_magnified += u32::from(footprint.is_magnified(Vec2::new(width, height)));
+                n_small += u32::from(footprint.is_small(Vec2::new(width, height)));
             }
-            if n_magnified < N as u32 {
+            if n_small < N as u32 {
                 return None;
             }
             points.weights = [1.0; N];

@@ -214,18 +214,20 @@ mod tests {
     }
 
     #[test]
-    fn magnified_samples_show_the_same_alone_and_among_others() {
+    fn small_footprints_show_the_same_alone_and_among_others() {
         let map = MipMap::new(noise(64, 32), Encoding::Srgb);
         let footprint = |index: usize, width: f32| {
             let (x, y) = (index as f32 * 0.07 - 1.3, 0.9 - index as f32 * 0.013);
-            Footprint { centre: Vec2::new(x, y), sides: [Vec2::new(width / 64.0, 0.0), Vec2::new(0.0, width / 32.0)] }
+            let (right, up) = (width * [1.0, 1.35, 0.2][index % 3], width * [1.0, 0.45, 1.35][index % 3]);
+            Footprint { centre: Vec2::new(x, y), sides: [Vec2::new(right / 64.0, 0.0), Vec2::new(0.0, up / 32.0)] }
         };
-        let magnified: Vec<_> = (0..63).map(|index| footprint(index, 0.7 - 0.01 * index as f32)).collect();
-        let among_others: Vec<_> = magnified.iter().copied().chain([footprint(63, 9.0)]).collect();
+        let small: Vec<_> = (0..63).map(|index| footprint(index, 1.11 - 0.01 * index as f32)).collect();
+        assert!(small.iter().all(|footprint| footprint.is_small(Vec2::new(64.0, 32.0))));
+        let among_others: Vec<_> = small.iter().copied().chain([footprint(63, 9.0)]).collect();
         for wrap in [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp] {
             for instructions in InstructionSet::available() {
                 let [alone, together] =
-                    [&magnified, &among_others].map(|footprints| means(&map, [wrap; 2], footprints, instructions));
+                    [&small, &among_others].map(|footprints| means(&map, [wrap; 2], footprints, instructions));
                 assert_eq!(alone, together[..63], "{wrap:?}, {instructions:?}");
             }
         }

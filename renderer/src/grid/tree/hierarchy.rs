@@ -233,8 +233,8 @@ impl Bounds {
 
     /// The box from `low` to `high`, rounded outward.
     pub(crate) fn new(low: DVec3, high: DVec3) -> Self {
-        // Not to subnormal numbers, as beside 0: with one, a step of a ray takes 150 cycles longer on Intel's processors, and
-        // every ray meets boxes at the bounds of the grid.
+        // Not to subnormal numbers, as beside 0: for them Intel's processors resort to microcode, and every ray meets boxes at
+        // the bounds of the grid.
         let down = |x: f64| (x as f32).next_down().min((x - f64::from(f32::MIN_POSITIVE)) as f32);
         let up = |x: f64| (x as f32).next_up().max((x + f64::from(f32::MIN_POSITIVE)) as f32);
         let low = Vec3A::new(down(low.x), down(low.y), down(low.z));
