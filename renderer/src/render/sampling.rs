@@ -11,8 +11,7 @@ pub fn sample_point(i: u32, j: u32, sample: u32) -> (f32, f32) {
     // The steps are 2³² over the plastic number and over its square.
     let along = |step: u32, seed: u32| {
         let offset = hash_u32(i ^ hash_u32(j ^ seed)).wrapping_add(step.wrapping_mul(sample));
-        // 23 bits, so that neither the half step nor the product is rounded.
-        ((offset >> 9) as f32 + 0.5) * (1.0 / 8_388_608.0)
+        fraction(offset)
     };
     (i as f32 + along(3_242_174_889, 1), j as f32 + along(2_447_445_414, 2))
 }
@@ -49,6 +48,13 @@ pub(crate) fn circle_turns([x, y]: [f32; 2]) -> f32 {
     let quadrant = if x.abs() < y.abs() { 0.25 - octant } else { octant };
     let half = if x < 0.0 { 0.5 - quadrant } else { quadrant };
     if y < 0.0 { 1.0 - half } else { half }
+}
+
+/// A number between 0 and 1, of the high bits.
+#[inline(always)]
+pub(crate) fn fraction(bits: u32) -> f32 {
+    // 23 bits, so that neither the half step nor the product is rounded; signed, because AVX2 converts only such numbers.
+    ((bits >> 9) as i32 as f32 + 0.5) * (1.0 / 8_388_608.0)
 }
 
 /// Mixes bits: "lowbias32" of Wellons, "Prospecting for Hash Functions" (2018).

@@ -18,7 +18,7 @@ use crate::{
     render::{
         blocks::SampleBlock,
         lift::{Lift, LiftedPoint},
-        sampling::hash_u32,
+        sampling::{fraction, hash_u32},
         surface::{N, get, set},
     },
     simd::{Kernel, Simd},
@@ -262,12 +262,6 @@ fn ambient_directions(normal: Vec3, [i, j]: [u32; 2], sample: u32) -> [(Vec3, f3
         ];
     }
     rays
-}
-
-/// A number between 0 and 1, of the high bits.
-#[inline(always)]
-fn fraction(bits: u32) -> f32 {
-    ((bits >> 9) as i32 as f32 + 0.5) * (1.0 / 8_388_608.0)
 }
 
 /// The unit vectors opposite to the camera's direction and to the key light, whose direction is relative to the camera.
