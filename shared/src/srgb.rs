@@ -66,12 +66,13 @@ pub fn decode_nearly(value: u8) -> f32 {
         0.963_449_1,
         0.999_154_7,
     ];
-    let encoded = f32::from(value) / 255.0;
+    // Not divided: vectors of divisions took longer than the rest.
+    let encoded = f32::from(value) * (1.0 / 255.0);
     let mut ratio = COEFFICIENTS[0];
     for coefficient in &COEFFICIENTS[1..] {
         ratio = ratio * encoded + coefficient;
     }
-    if encoded <= 0.04045 { encoded / 12.92 } else { 1.0 + (encoded - 1.0) * ratio }
+    if encoded <= 0.04045 { encoded * (1.0 / 12.92) } else { 1.0 + (encoded - 1.0) * ratio }
 }
 
 /// The encoded value nearest to a linear light, which is clamped to 0..1; NaN gives 0.
@@ -108,7 +109,8 @@ mod tests {
     fn the_curve_is_the_standard_one() {
         for value in 0..=255u8 {
             let encoded = f64::from(value) / 255.0;
-            let expected = if encoded <= 0.04045 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) };
+            let expected =
+                if encoded <= 0.04045 { encoded * (1.0 / 12.92) } else { ((encoded + 0.055) / 1.055).powf(2.4) };
             assert!((f64::from(decode(value)) - expected).abs() <= 1e-7, "{value}");
         }
     }
