@@ -189,6 +189,8 @@ pub(crate) trait Simd: Copy {
     /// Gathers items of four bytes as they are, at the first [`Simd::LANES`] indices; those beyond the last give it. There must
     /// be items.
     fn gather_bits<T: NoUninit>(from: &[T], indices: &[u32]) -> Self;
+    /// Takes the numbers at the first [`Simd::LANES`] places of a table; only the lowest four bits of a place count.
+    fn pick(table: &[f32; 16], places: &[u32]) -> Self;
     /// Loads the first [`Simd::LANES`] numbers of a slice as they are, without conversion.
     fn load_bits(from: &[u32]) -> Self;
     /// Writes all lanes as they are to the beginning of a slice.
@@ -321,6 +323,8 @@ impl Simd for Portable {
     methods! {
         fn store(self, to: &mut [f32]) -> () = to[..8].copy_from_slice(&self.0);
         fn splat(x: f32) -> Self = Self([x; 8]);
+        fn pick(table: &[f32; 16], places: &[u32]) -> Self =
+            Self(std::array::from_fn(|lane| table[places[lane] as usize % 16]));
         fn load(from: &[f32]) -> Self = Self(std::array::from_fn(|lane| from[lane]));
         fn load_bits(from: &[u32]) -> Self = Self(std::array::from_fn(|lane| f32::from_bits(from[lane])));
         fn reflect(self, flip: u32) -> Self = Self(std::array::from_fn(|lane| self.0[lane ^ (flip & 7) as usize]));
@@ -366,6 +370,13 @@ mod tests {
                 for lane in 0..S::LANES {
                     assert_eq!(moved[lane ^ flip as usize], numbers[lane]);
                 }
+            }
+            let (table, places) = (bytemuck::cast(numbers), [3, 15, 0, 8, 7, 7, 24, 9, 1, 14, 31, 2, 6, 5, 12, 11]);
+            for first in (0..16).step_by(S::LANES) {
+                let mut picked = [0; 16];
+                S::pick(&table, &places[first..]).store_bits(&mut picked);
+                let expected = places[first..].iter().map(|&place| numbers[place as usize % 16]);
+                assert!(expected.take(S::LANES).eq(picked[..S::LANES].iter().copied()));
             }
             for mask in 0..1u32 << S::LANES {
                 let mut kept = [0; 16];

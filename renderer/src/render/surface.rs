@@ -1,12 +1,14 @@
 //! Normals, colours and footprints on textures, of many hits at once: loops over arrays, which the compiler turns into vector
 //! instructions.
 
+mod triangles;
+
 use glam::{DVec3, Vec2, Vec3};
 
 use crate::{
     grid::traced::TracedMesh,
     intersect::{ray::Hit, triangle},
-    model::normal::Normal,
+    render::surface::triangles::{FewTriangles, TriangleLanes},
     simd::{Kernel, Simd},
     texture::{
         footprint::{self, FootprintLanes, Footprints, WideHit, WideRays},
@@ -70,11 +72,23 @@ impl<R: WideRays> Kernel for Surfaces<'_, R> {
         let Self { mesh, rays, hits, plain_color, surfaces, footprints } = self;
         footprints.clear();
         surfaces[..hits.len()].fill(None);
-        for (of_lanes, n) in TriangleHits::of(hits).lanes() {
-            let gathered = gather::<S>(mesh, rays, hits, &of_lanes);
-            let found = gathered.interpolate(|lane| rays.origin(of_lanes[lane]), plain_color);
-            if let Some(coordinates) = &gathered.coordinates {
-                footprints.push(&gathered.footprints(rays, &of_lanes, coordinates, &found), n);
+        let on_triangles = TriangleHits::of(hits);
+        let triangles = on_triangles.triangles(hits);
+        // Close to a model many samples show the same triangle, whose corners are found and decoded once.
+        let few = FewTriangles::of::<S>(&triangles, on_triangles.n);
+        let mut of_few = None;
+        if let Some(few) = &few {
+            of_few = Some(TriangleLanes::gather::<S>(mesh, &few.triangles));
+        }
+        for (chunk, (of_lanes, n)) in on_triangles.lanes().enumerate() {
+            let triangles = match (&few, &of_few) {
+                (Some(few), Some(of_few)) => of_few.pick::<S>(&few.places.as_chunks().0[chunk]),
+                _ => TriangleLanes::gather::<S>(mesh, &triangles.as_chunks().0[chunk]),
+            };
+            let hits = RayHits::of(rays, hits, &of_lanes);
+            let found = hits.interpolate(&triangles, |lane| rays.origin(of_lanes[lane]), plain_color);
+            if let Some(coordinates) = &triangles.coordinates {
+                footprints.push(&hits.footprints(rays, &of_lanes, &triangles, coordinates, &found), n);
             }
             for (lane, &sample) in of_lanes.iter().enumerate().take(n) {
                 surfaces[sample] = Some(Surface {
@@ -105,6 +119,18 @@ impl TriangleHits {
         Self { numbers, n }
     }
 
+    /// The hits' triangles; the last is repeated.
+    #[inline(always)]
+    fn triangles(&self, hits: &[Hit]) -> [u32; 64] {
+        let mut triangles = [0; 64];
+        if self.n > 0 {
+            for (place, triangle) in triangles.iter_mut().enumerate() {
+                *triangle = hits[self.numbers[place.min(self.n - 1)]].triangle;
+            }
+        }
+        triangles
+    }
+
     /// The numbers, [`N`] at a time, and how many these are: lanes beyond the last repeat it. They are chosen here: loops with a
     /// check do not become vector instructions, and a frame's shading took 1.5 times as long.
     #[inline(always)]
@@ -116,68 +142,16 @@ impl TriangleHits {
     }
 }
 
-/// The rays and triangles of samples.
-#[inline(always)]
-fn gather<S: Simd>(mesh: &TracedMesh, rays: impl WideRays, hits: &[Hit], samples: &[usize; N]) -> Lanes {
-    let mut triangles = [0; N];
-    let (mut directions, mut distances) = ([[0.0; N]; 3], [0.0; N]);
-    for (lane, &sample) in samples.iter().enumerate() {
-        (triangles[lane], distances[lane]) = (hits[sample].triangle, hits[sample].t);
-        set(&mut directions, lane, rays.direction(sample));
-    }
-    let mut lanes = Lanes {
-        directions,
-        distances,
-        corners: [[[0.0; N]; 3]; 3],
-        normals: mesh.has_normals().then_some([[0; N]; 3]),
-        colors: mesh.has_colors().then_some([[[0.0; N]; 3]; 3]),
-        coordinates: mesh.has_texture_coordinates().then_some([[[0.0; N]; 2]; 3]),
-    };
-    for first in (0..N).step_by(S::LANES) {
-        let mut next = [0; 16];
-        next[..S::LANES].copy_from_slice(&triangles[first..first + S::LANES]);
-        let vertices = mesh.corner_vertices::<S>(&next);
-        let [a, b, c] = &vertices;
-        // SAFETY: all vertices of triangles exist.
-        let positions = unsafe { mesh.gather_vertices::<S>([a, b, c]) };
-        for corner in 0..3 {
-            for (position, lanes) in positions[corner].iter().zip(&mut lanes.corners[corner]) {
-                position.store(&mut lanes[first..]);
-            }
-            if let Some(normals) = &mut lanes.normals {
-                mesh.gather_normals::<S>(&vertices[corner], &mut normals[corner][first..]);
-            }
-            if let Some(colors) = &mut lanes.colors {
-                mesh.gather_colors::<S>(&vertices[corner], &mut colors[corner], first);
-            }
-            if let Some(coordinates) = &mut lanes.coordinates {
-                let to = coordinates[corner].each_mut().map(|lanes| &mut lanes[first..]);
-                mesh.gather_coordinates::<S>(&vertices[corner], to);
-            }
-        }
-    }
-    lanes
-}
-
-/// Rays, the triangles that they hit, and the normals (as bits), linear colours and texture coordinates of their corners, if the
-/// mesh has them.
-struct Lanes {
+/// Rays, and how far away they hit triangles.
+struct RayHits {
     directions: Vectors,
-    /// Of the hits, in lengths of the directions.
+    /// In lengths of the directions.
     distances: [f32; N],
-    corners: [Vectors; 3],
-    normals: Option<[[u32; N]; 3]>,
-    colors: Option<[Vectors; 3]>,
-    coordinates: Option<[footprint::Points; 3]>,
 }
 
-/// The surfaces at hits, and what their footprints need.
+/// The surfaces at hits, and the corners' parts in the hit points.
 struct SurfaceLanes {
-    /// The parts of the triangles' corners in the hit points.
     weights: Vectors,
-    /// Those of triangles: see [`WideHit`].
-    normals: Vectors,
-    distances_by_area: [f32; N],
     /// Those of [`Surface`].
     to_eyes: Vectors,
     geometrics: Vectors,
@@ -185,46 +159,53 @@ struct SurfaceLanes {
     colors: Vectors,
 }
 
-impl Lanes {
+impl RayHits {
+    #[inline(always)]
+    fn of(rays: impl WideRays, hits: &[Hit], samples: &[usize; N]) -> Self {
+        let mut of_lanes = Self { directions: [[0.0; N]; 3], distances: [0.0; N] };
+        for (lane, &sample) in samples.iter().enumerate() {
+            of_lanes.distances[lane] = hits[sample].t;
+            set(&mut of_lanes.directions, lane, rays.direction(sample));
+        }
+        of_lanes
+    }
+
     /// The surfaces where rays from `origin` of a lane hit; `plain_color` is that of a mesh without colours.
     #[inline(always)]
-    fn interpolate(&self, origin: impl Fn(usize) -> Vec3, plain_color: Vec3) -> SurfaceLanes {
-        let [mut to_eyes, mut normals, mut geometrics, mut weights] = [[[0.0; N]; 3]; 4];
-        let mut distances_by_area = [0.0; N];
+    fn interpolate(
+        &self,
+        triangles: &TriangleLanes,
+        origin: impl Fn(usize) -> Vec3,
+        plain_color: Vec3,
+    ) -> SurfaceLanes {
+        let [mut to_eyes, mut geometrics, mut weights] = [[[0.0; N]; 3]; 3];
         // In double precision, for triangles of any size.
-        for (lane, distance_by_area) in distances_by_area.iter_mut().enumerate() {
+        for lane in 0..N {
             let direction = get(&self.directions, lane);
-            let [a, b, c] = [get(&self.corners[0], lane), get(&self.corners[1], lane), get(&self.corners[2], lane)];
+            let [a, b, c] = triangles.corners.each_ref().map(|corner| get(corner, lane));
             let parts = triangle::corner_weights(origin(lane), direction, &[a.to_array(), b.to_array(), c.to_array()]);
             set(&mut weights, lane, Vec3::new(parts[0] as f32, parts[1] as f32, parts[2] as f32));
             let direction = direction.as_dvec3();
-            let normal = (b.as_dvec3() - a.as_dvec3()).cross(c.as_dvec3() - a.as_dvec3());
-            let of_triangle = normalize_or_zero(normal);
-            *distance_by_area = (f64::from(self.distances[lane]) * (1.0 / normal.length())) as f32;
             set(&mut to_eyes, lane, -normalize_or_zero(direction));
-            set(&mut normals, lane, of_triangle);
+            let normal = (b.as_dvec3() - a.as_dvec3()).cross(c.as_dvec3() - a.as_dvec3());
+            let of_triangle = get(&triangles.normals, lane);
             set(&mut geometrics, lane, if normal.dot(direction) > 0.0 { -of_triangle } else { of_triangle });
         }
         // Interpolate in single precision.
         let mut shadings = geometrics;
-        if let Some([a, b, c]) = &self.normals {
+        if let Some(corner_normals) = &triangles.corner_normals {
             for lane in 0..N {
-                let (of_triangle, weight) = (get(&normals, lane), get(&weights, lane));
-                let normal = corner_direction(Normal::of_bits(a[lane]), of_triangle) * weight.x
-                    + corner_direction(Normal::of_bits(b[lane]), of_triangle) * weight.y
-                    + corner_direction(Normal::of_bits(c[lane]), of_triangle) * weight.z;
+                let normal = weighted(corner_normals, &weights, lane);
                 set(&mut shadings, lane, visible_normal(normal, get(&geometrics, lane), get(&to_eyes, lane)));
             }
         }
         let mut colors = plain_color.to_array().map(|channel| [channel; N]);
-        if let Some([a, b, c]) = &self.colors {
+        if let Some(of_corners) = &triangles.colors {
             for lane in 0..N {
-                let weight = get(&weights, lane);
-                let color = get(a, lane) * weight.x + get(b, lane) * weight.y + get(c, lane) * weight.z;
-                set(&mut colors, lane, color);
+                set(&mut colors, lane, weighted(of_corners, &weights, lane));
             }
         }
-        SurfaceLanes { weights, normals, distances_by_area, to_eyes, geometrics, shadings, colors }
+        SurfaceLanes { weights, to_eyes, geometrics, shadings, colors }
     }
 
     /// The footprints of rays with the numbers `of_lanes`.
@@ -233,6 +214,7 @@ impl Lanes {
         &self,
         rays: impl WideRays,
         of_lanes: &[usize; N],
+        triangles: &TriangleLanes,
         coordinates: &[footprint::Points; 3],
         surfaces: &SurfaceLanes,
     ) -> FootprintLanes {
@@ -241,9 +223,9 @@ impl Lanes {
             let hit = WideHit {
                 direction: get(&self.directions, lane),
                 sides: rays.sides(of_lanes[lane]),
-                corners: [get(&self.corners[0], lane), get(&self.corners[1], lane), get(&self.corners[2], lane)],
-                normal: get(&surfaces.normals, lane),
-                distance_by_area: surfaces.distances_by_area[lane],
+                corners: triangles.corners.each_ref().map(|corner| get(corner, lane)),
+                normal: get(&triangles.normals, lane),
+                distance_by_area: (f64::from(self.distances[lane]) * triangles.inverse_areas[lane]) as f32,
             };
             let point = |[u, v]: &footprint::Points| Vec2::new(u[lane], v[lane]);
             let coordinates = [point(&coordinates[0]), point(&coordinates[1]), point(&coordinates[2])];
@@ -251,6 +233,13 @@ impl Lanes {
         }
         footprints
     }
+}
+
+/// The sum of the corners' vectors by their weights.
+#[inline(always)]
+fn weighted([a, b, c]: &[Vectors; 3], weights: &Vectors, lane: usize) -> Vec3 {
+    let weight = get(weights, lane);
+    get(a, lane) * weight.x + get(b, lane) * weight.y + get(c, lane) * weight.z
 }
 
 #[inline(always)]
@@ -261,13 +250,6 @@ pub(super) fn get([x, y, z]: &Vectors, lane: usize) -> Vec3 {
 #[inline(always)]
 pub(super) fn set([x, y, z]: &mut Vectors, lane: usize, vector: Vec3) {
     (x[lane], y[lane], z[lane]) = (vector.x, vector.y, vector.z);
-}
-
-/// The direction of a corner's normal, or the triangle's where the corner has none.
-#[inline(always)]
-fn corner_direction(normal: Normal, of_triangle: Vec3) -> Vec3 {
-    let direction = normal.direction();
-    if normal == Normal::OF_TRIANGLE { of_triangle } else { direction }
 }
 
 /// An interpolated normal of any length, turned to the side of the geometric normal; bent to the rim of what the eye sees

@@ -239,6 +239,14 @@ impl Simd for Avx2 {
     intrinsics! {
         fn splat(x: f32) -> Self = Self(_mm256_set1_ps(x));
         fn load(from: &[f32]) -> Self = Self(_mm256_loadu_ps(first::<8, _>(from).as_ptr()));
+        fn pick(table: &[f32; 16], places: &[u32]) -> Self = {
+            let places = _mm256_loadu_si256(first::<8, _>(places).as_ptr().cast());
+            let (low, high) = (_mm256_loadu_ps(table.as_ptr()), _mm256_loadu_ps(table[8..].as_ptr()));
+            // The fourth bit, as the sign, chooses the half.
+            let is_high = _mm256_castsi256_ps(_mm256_slli_epi32::<28>(places));
+            let [low, high] = [_mm256_permutevar8x32_ps(low, places), _mm256_permutevar8x32_ps(high, places)];
+            Self(_mm256_blendv_ps(low, high, is_high))
+        };
         fn load_bits(from: &[u32]) -> Self = Self(_mm256_loadu_ps(first::<8, _>(from).as_ptr().cast()));
         fn reflect(self, flip: u32) -> Self = {
             let lanes = _mm256_xor_si256(_mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7), _mm256_set1_epi32(flip as i32));
@@ -413,6 +421,10 @@ impl Simd for Avx512 {
     intrinsics! {
         fn splat(x: f32) -> Self = Self(_mm512_set1_ps(x));
         fn load(from: &[f32]) -> Self = Self(_mm512_loadu_ps(first::<16, _>(from).as_ptr()));
+        fn pick(table: &[f32; 16], places: &[u32]) -> Self = {
+            let places = _mm512_loadu_epi32(first::<16, _>(places).as_ptr().cast());
+            Self(_mm512_permutexvar_ps(places, _mm512_loadu_ps(table.as_ptr())))
+        };
         fn load_bits(from: &[u32]) -> Self = Self(_mm512_loadu_ps(first::<16, _>(from).as_ptr().cast()));
         fn reflect(self, flip: u32) -> Self = {
             let lanes = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
