@@ -12,7 +12,7 @@ use shared::srgb;
 
 use crate::{
     grid::packed::PackedNumbers,
-    intersect::ray::{Hit, Ray},
+    intersect::ray::Ray,
     model::{
         lattice::Lattice,
         mesh::{Aabb, Mesh},
@@ -23,7 +23,7 @@ use crate::{
     simd::{InstructionSet, Simd},
     texture::{
         footprint::{Footprints, texture_point},
-        materials::{PointMaterial, TracedMaterials},
+        materials::{PointMaterials, TracedMaterials},
     },
 };
 use corners::Corners;
@@ -186,16 +186,16 @@ impl TracedMesh {
         self.materials.has_materials()
     }
 
-    /// Finds the materials where up to 64 rays hit triangles: see [`TracedMaterials::find`].
+    /// Finds the materials of hits on triangles: see [`TracedMaterials::find`].
     pub(crate) fn find_materials(
         &self,
         instructions: InstructionSet,
-        hits: &[Hit],
+        triangles: &[u32],
         footprints: &Footprints,
-        materials: &mut [Option<PointMaterial>; 64],
-        tint: impl FnMut(usize, Vec3),
+        colors: &mut [[f32; 64]; 3],
+        materials: &mut PointMaterials,
     ) {
-        self.materials.find(instructions, hits, footprints, materials, tint);
+        self.materials.find(instructions, triangles, footprints, colors, materials);
     }
 
     /// Whether a ray passes a triangle that it hits, where the triangle's material has a gap.

@@ -154,14 +154,13 @@ impl<'a> Lighting<'a> {
             }
             for (sample_idx, (i, j)) in block.samples().enumerate() {
                 let (_, y) = sample_point(i, j, sample);
-                lights[index][sample_idx] = self.shader.light(
-                    directions[sample_idx],
-                    hits[sample_idx],
-                    batch.surfaces[sample_idx].as_ref(),
-                    batch.materials[sample_idx].as_ref(),
-                    y,
-                    &visibility[index][sample_idx],
-                );
+                lights[index][sample_idx] = if hits[sample_idx].is_miss() {
+                    self.shader.backdrop(y)
+                } else {
+                    let surface = batch.surface(sample_idx);
+                    let surface = surface.unwrap_or_else(|| self.shader.cap(directions[sample_idx]));
+                    self.shader.light(&surface, batch.material(sample_idx), &visibility[index][sample_idx])
+                };
             }
         }
     }

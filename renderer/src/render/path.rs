@@ -289,8 +289,8 @@ impl<'a> PathTracer<'a> {
                 let vertex = if path.is_on_ground() {
                     self.vertex_on_ground(path)
                 } else {
-                    let surface = batch.surfaces[index].unwrap_or_else(|| shader.cap(path.direction));
-                    Self::vertex(path, points[index], &surface, batch.materials[index].as_ref(), sums)
+                    let surface = batch.surface(index).unwrap_or_else(|| shader.cap(path.direction));
+                    Self::vertex(path, points[index], &surface, batch.material(index), sums)
                 };
                 vertices.extend(vertex);
             }

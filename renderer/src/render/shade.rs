@@ -60,23 +60,10 @@ impl<'a> Shader<'a> {
         Self { mesh, shading: spec.view, up, n_rows: spec.size.yres() as f32, background, has_shadows, cap_normal }
     }
 
-    /// The linear light along one ray, given its hit's surface, unless that is a cap, its material, if it has one, and the lights
-    /// that reach it. `row` counts samples from the bottom.
+    /// The linear light from a surface, given its material, if it has one, and the lights that reach it.
     #[inline]
-    pub fn light(
-        &self,
-        direction: Vec3,
-        hit: Hit,
-        surface: Option<&Surface>,
-        material: Option<&PointMaterial>,
-        row: f32,
-        visibility: &LightVisibility,
-    ) -> Vec3 {
-        if hit.is_miss() {
-            return self.backdrop(row);
-        }
-        let Surface { to_eye, geometric, shading: normal, color } =
-            surface.copied().unwrap_or_else(|| self.cap(direction));
+    pub fn light(&self, surface: &Surface, material: Option<&PointMaterial>, visibility: &LightVisibility) -> Vec3 {
+        let &Surface { to_eye, geometric, shading: normal, color } = surface;
         match self.shading {
             // The cost of a ray does not depend on its hit: see [`cost_color`].
             ShadingMode::Normals | ShadingMode::Cost => (normal + 1.0) * 0.5,
@@ -128,18 +115,14 @@ impl<'a> Shader<'a> {
         instructions: InstructionSet,
         rays: impl WideRays,
         hits: &[Hit],
-        SurfaceBatch { surfaces, materials, footprints }: &mut SurfaceBatch,
+        batch: &mut SurfaceBatch,
     ) {
         let mesh = self.mesh;
         let plain_color = if mesh.has_materials() { Vec3::ONE } else { CLAY };
         // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-        unsafe { instructions.call(Surfaces { mesh, rays, hits, plain_color, surfaces, footprints }) }
+        unsafe { instructions.call(Surfaces { mesh, rays, hits, plain_color, batch: &mut *batch }) }
         if mesh.has_materials() && self.shading == ShadingMode::Shaded {
-            mesh.find_materials(instructions, hits, footprints, materials, |sample, base_color| {
-                if let Some(surface) = &mut surfaces[sample] {
-                    surface.color *= base_color;
-                }
-            });
+            batch.find_materials(mesh, instructions);
         }
     }
 
@@ -243,14 +226,14 @@ mod tests {
         let mut batch = SurfaceBatch::NONE;
         let rays = SampleRays { eye: EYE, directions, sides: [Vec3::ZERO; 2] };
         shader.find_surfaces(instructions, rays, hits, &mut batch);
-        batch.surfaces
+        std::array::from_fn(|hit| batch.surface(hit))
     }
 
     /// The light at a hit, with all instructions.
     fn light(shader: &Shader<'_>, direction: Vec3, hit: Hit) -> Vec3 {
         let lights = InstructionSet::available().into_iter().map(|instructions| {
             let surface = surfaces(shader, instructions, &[direction], &[hit])[0];
-            shader.light(direction, hit, surface.as_ref(), None, 0.0, &UNOCCLUDED)
+            shader.light(&surface.expect("a hit on a triangle"), None, &UNOCCLUDED)
         });
         let lights: Vec<_> = lights.collect();
         assert!(lights.iter().all(|light| *light == lights[0]), "{lights:?}");
@@ -283,8 +266,7 @@ mod tests {
         let background = Background { bottom: [255, 0, 10], top: [0, 255, 10] };
         let shader =
             Shader::new(&mesh, &spec(ShadingMode::Shaded, Appearance { background, ..Appearance::default() }), None);
-        let encoded =
-            |row: f32| shader.light(-Vec3::Z, Hit::MISS, None, None, row, &UNOCCLUDED).to_array().map(srgb::encode);
+        let encoded = |row: f32| shader.backdrop(row).to_array().map(srgb::encode);
         assert_eq!((encoded(0.0), encoded(512.0)), (background.bottom, background.top));
         // Half of the light is value 188.
         assert_eq!(encoded(256.0), [188, 188, 10]);

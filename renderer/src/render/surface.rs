@@ -9,10 +9,10 @@ use crate::{
     grid::traced::TracedMesh,
     intersect::{ray::Hit, triangle},
     render::surface::triangles::{FewTriangles, TriangleLanes},
-    simd::{Kernel, Simd},
+    simd::{InstructionSet, Kernel, Simd},
     texture::{
         footprint::{self, FootprintLanes, Footprints, WideHit, WideRays},
-        materials::PointMaterial,
+        materials::{PointMaterial, PointMaterials},
     },
 };
 
@@ -35,33 +35,64 @@ pub struct Surface {
     pub color: Vec3,
 }
 
-/// The surfaces at up to 64 hits, by their number.
+/// The surfaces at up to 64 hits.
 ///
 /// It is written again for each block of samples: copies took up to 5 % of a frame's time.
 pub(super) struct SurfaceBatch {
-    /// `None` for misses and caps.
-    pub(super) surfaces: [Option<Surface>; 64],
-    /// `None` also for surfaces that only scatter light.
-    pub(super) materials: [Option<PointMaterial>; 64],
+    on_triangles: TriangleHits,
+    /// Of the hits on triangles, as all that follows.
+    lanes: [SurfaceLanes; 64 / N],
+    /// Linear, by channel.
+    colors: [[f32; 64]; 3],
+    materials: PointMaterials,
     /// On textures, if the mesh has texture coordinates.
-    pub(super) footprints: Footprints,
+    footprints: Footprints,
 }
 
 impl SurfaceBatch {
-    pub(super) const NONE: Self = Self { surfaces: [None; 64], materials: [None; 64], footprints: Footprints::NONE };
+    pub(super) const NONE: Self = Self {
+        on_triangles: TriangleHits::NONE,
+        lanes: [SurfaceLanes::NONE; 64 / N],
+        colors: [[0.0; 64]; 3],
+        materials: PointMaterials::NONE,
+        footprints: Footprints::NONE,
+    };
+
+    /// The surface at a hit, by its number; `None` for misses and caps.
+    #[inline(always)]
+    pub(super) fn surface(&self, hit: usize) -> Option<Surface> {
+        let place = self.on_triangles.place(hit)?;
+        let (lanes, lane) = (&self.lanes[place / N], place % N);
+        Some(Surface {
+            to_eye: get(&lanes.to_eyes, lane),
+            geometric: get(&lanes.geometrics, lane),
+            shading: get(&lanes.shadings, lane),
+            color: Vec3::new(self.colors[0][place], self.colors[1][place], self.colors[2][place]),
+        })
+    }
+
+    /// The material there; `None` also for surfaces that only scatter light.
+    #[inline(always)]
+    pub(super) fn material(&self, hit: usize) -> Option<&PointMaterial> {
+        self.materials.get(self.on_triangles.place(hit)?)
+    }
+
+    /// Finds the materials, and multiplies their base colours into those of the surfaces.
+    pub(super) fn find_materials(&mut self, mesh: &TracedMesh, instructions: InstructionSet) {
+        let Self { on_triangles, colors, materials, footprints, .. } = self;
+        mesh.find_materials(instructions, on_triangles.triangles(), footprints, colors, materials);
+    }
 }
 
-/// Interpolates normals and colours of a mesh where up to 64 rays hit its triangles; `None` for misses and caps.
+/// Interpolates normals and colours of a mesh where up to 64 rays hit its triangles.
 pub(super) struct Surfaces<'a, R> {
     pub(super) mesh: &'a TracedMesh,
     pub(super) rays: R,
     pub(super) hits: &'a [Hit],
     /// That of a mesh without colours.
     pub(super) plain_color: Vec3,
-    /// Entries beyond the hits are left as they are.
-    pub(super) surfaces: &'a mut [Option<Surface>; 64],
-    /// Those on textures, if the mesh has texture coordinates.
-    pub(super) footprints: &'a mut Footprints,
+    /// Materials stay as they are.
+    pub(super) batch: &'a mut SurfaceBatch,
 }
 
 impl<R: WideRays> Kernel for Surfaces<'_, R> {
@@ -69,13 +100,12 @@ impl<R: WideRays> Kernel for Surfaces<'_, R> {
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        let Self { mesh, rays, hits, plain_color, surfaces, footprints } = self;
+        let Self { mesh, rays, hits, plain_color, batch } = self;
+        let SurfaceBatch { on_triangles, lanes, colors, footprints, .. } = batch;
         footprints.clear();
-        surfaces[..hits.len()].fill(None);
-        let on_triangles = TriangleHits::of(hits);
-        let triangles = on_triangles.triangles(hits);
+        *on_triangles = TriangleHits::of(hits);
         // Close to a model many samples show the same triangle, whose corners are found and decoded once.
-        let few = FewTriangles::of::<S>(&triangles, on_triangles.n);
+        let few = FewTriangles::of::<S>(&on_triangles.triangles, on_triangles.n);
         let mut of_few = None;
         if let Some(few) = &few {
             of_few = Some(TriangleLanes::gather::<S>(mesh, &few.triangles));
@@ -83,55 +113,70 @@ impl<R: WideRays> Kernel for Surfaces<'_, R> {
         for (chunk, (of_lanes, n)) in on_triangles.lanes().enumerate() {
             let triangles = match (&few, &of_few) {
                 (Some(few), Some(of_few)) => of_few.pick::<S>(&few.places.as_chunks().0[chunk]),
-                _ => TriangleLanes::gather::<S>(mesh, &triangles.as_chunks().0[chunk]),
+                _ => TriangleLanes::gather::<S>(mesh, &on_triangles.triangles.as_chunks().0[chunk]),
             };
             let hits = RayHits::of(rays, hits, &of_lanes);
-            let found = hits.interpolate(&triangles, |lane| rays.origin(of_lanes[lane]), plain_color);
+            let colors = colors.each_mut().map(|channel| &mut channel.as_chunks_mut().0[chunk]);
+            let weights = hits.interpolate(
+                &triangles,
+                |lane| rays.origin(of_lanes[lane]),
+                plain_color,
+                (&mut lanes[chunk], colors),
+            );
             if let Some(coordinates) = &triangles.coordinates {
-                footprints.push(&hits.footprints(rays, &of_lanes, &triangles, coordinates, &found), n);
-            }
-            for (lane, &sample) in of_lanes.iter().enumerate().take(n) {
-                surfaces[sample] = Some(Surface {
-                    to_eye: get(&found.to_eyes, lane),
-                    geometric: get(&found.geometrics, lane),
-                    shading: get(&found.shadings, lane),
-                    color: get(&found.colors, lane),
-                });
+                footprints.push(&hits.footprints(rays, &of_lanes, &triangles, coordinates, &weights), n);
             }
         }
     }
 }
 
-/// The numbers of those of up to 64 hits that are neither misses nor caps.
+/// Those of up to 64 hits that are neither misses nor caps.
 pub(super) struct TriangleHits {
-    numbers: [usize; 64],
     n: usize,
+    /// Their numbers among all hits.
+    numbers: [usize; 64],
+    /// Their triangles; the last is repeated.
+    triangles: [u32; 64],
+    /// The place of each hit among them, or [`NOWHERE`].
+    places: [u8; 64],
 }
+
+/// The place of misses and caps.
+const NOWHERE: u8 = u8::MAX;
 
 impl TriangleHits {
+    const NONE: Self = Self { n: 0, numbers: [0; 64], triangles: [0; 64], places: [NOWHERE; 64] };
+
     #[inline(always)]
     pub(super) fn of(hits: &[Hit]) -> Self {
-        let (mut numbers, mut n) = ([0; 64], 0);
+        let mut on_triangles = Self::NONE;
+        let Self { n, numbers, triangles, places } = &mut on_triangles;
         for (number, hit) in (0..64).zip(hits) {
-            numbers[n] = number;
-            n += usize::from(!hit.is_miss() && !hit.is_cap());
+            let is_on_triangle = !hit.is_miss() && !hit.is_cap();
+            (numbers[*n], triangles[*n]) = (number, hit.triangle);
+            places[number] = if is_on_triangle { *n as u8 } else { NOWHERE };
+            *n += usize::from(is_on_triangle);
         }
-        Self { numbers, n }
+        if *n > 0 {
+            let last = triangles[*n - 1];
+            triangles[*n..].fill(last);
+        }
+        on_triangles
     }
 
-    /// The hits' triangles; the last is repeated.
+    /// Their triangles, in their order.
+    fn triangles(&self) -> &[u32] {
+        &self.triangles[..self.n]
+    }
+
+    /// The place of a hit among them.
     #[inline(always)]
-    fn triangles(&self, hits: &[Hit]) -> [u32; 64] {
-        let mut triangles = [0; 64];
-        if self.n > 0 {
-            for (place, triangle) in triangles.iter_mut().enumerate() {
-                *triangle = hits[self.numbers[place.min(self.n - 1)]].triangle;
-            }
-        }
-        triangles
+    fn place(&self, hit: usize) -> Option<usize> {
+        let place = usize::from(self.places[hit]);
+        (place < 64).then_some(place)
     }
 
-    /// The numbers, [`N`] at a time, and how many these are: lanes beyond the last repeat it. They are chosen here: loops with a
+    /// Their numbers, [`N`] at a time, and how many these are: lanes beyond the last repeat it. They are chosen here: loops with a
     /// check do not become vector instructions, and a frame's shading took 1.5 times as long.
     #[inline(always)]
     pub(super) fn lanes(&self) -> impl Iterator<Item = ([usize; N], usize)> {
@@ -149,14 +194,16 @@ struct RayHits {
     distances: [f32; N],
 }
 
-/// The surfaces at hits, and the corners' parts in the hit points.
+/// Vectors of [`Surface`].
+#[derive(Clone, Copy)]
 struct SurfaceLanes {
-    weights: Vectors,
-    /// Those of [`Surface`].
     to_eyes: Vectors,
     geometrics: Vectors,
     shadings: Vectors,
-    colors: Vectors,
+}
+
+impl SurfaceLanes {
+    const NONE: Self = Self { to_eyes: [[0.0; N]; 3], geometrics: [[0.0; N]; 3], shadings: [[0.0; N]; 3] };
 }
 
 impl RayHits {
@@ -170,14 +217,16 @@ impl RayHits {
         of_lanes
     }
 
-    /// The surfaces where rays from `origin` of a lane hit; `plain_color` is that of a mesh without colours.
+    /// Finds the surfaces and colours where rays from `origin` of a lane hit; `plain_color` is that of a mesh without colours.
+    /// Returns the corners' parts in the hit points.
     #[inline(always)]
     fn interpolate(
         &self,
         triangles: &TriangleLanes,
         origin: impl Fn(usize) -> Vec3,
         plain_color: Vec3,
-    ) -> SurfaceLanes {
+        (surfaces, colors): (&mut SurfaceLanes, [&mut [f32; N]; 3]),
+    ) -> Vectors {
         let [mut to_eyes, mut geometrics, mut weights] = [[[0.0; N]; 3]; 3];
         // In double precision, for triangles of any size.
         for lane in 0..N {
@@ -199,13 +248,15 @@ impl RayHits {
                 set(&mut shadings, lane, visible_normal(normal, get(&geometrics, lane), get(&to_eyes, lane)));
             }
         }
-        let mut colors = plain_color.to_array().map(|channel| [channel; N]);
+        let mut mixed = plain_color.to_array().map(|channel| [channel; N]);
         if let Some(of_corners) = &triangles.colors {
             for lane in 0..N {
-                set(&mut colors, lane, weighted(of_corners, &weights, lane));
+                set(&mut mixed, lane, weighted(of_corners, &weights, lane));
             }
         }
-        SurfaceLanes { weights, to_eyes, geometrics, shadings, colors }
+        colors.into_iter().zip(mixed).for_each(|(channel, mixed)| *channel = mixed);
+        *surfaces = SurfaceLanes { to_eyes, geometrics, shadings };
+        weights
     }
 
     /// The footprints of rays with the numbers `of_lanes`.
@@ -216,7 +267,7 @@ impl RayHits {
         of_lanes: &[usize; N],
         triangles: &TriangleLanes,
         coordinates: &[footprint::Points; 3],
-        surfaces: &SurfaceLanes,
+        weights: &Vectors,
     ) -> FootprintLanes {
         let mut footprints = FootprintLanes::NONE;
         for lane in 0..N {
@@ -229,7 +280,7 @@ impl RayHits {
             };
             let point = |[u, v]: &footprint::Points| Vec2::new(u[lane], v[lane]);
             let coordinates = [point(&coordinates[0]), point(&coordinates[1]), point(&coordinates[2])];
-            footprints.set(lane, &hit.footprint(coordinates, get(&surfaces.weights, lane)));
+            footprints.set(lane, &hit.footprint(coordinates, get(weights, lane)));
         }
         footprints
     }

@@ -6,7 +6,6 @@ use glam::{Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    intersect::ray::Hit,
     model::material::{Image, Material, Materials, TextureUse, Wrap},
     scene_file::section::Section,
     simd::InstructionSet,
@@ -86,6 +85,44 @@ pub enum Finish {
     /// Ignores it, and shows its base colour.
     Unlit,
 }
+
+/// The materials at up to 64 hits on triangles.
+pub(crate) struct PointMaterials {
+    /// A bit for each hit whose surface does more than to scatter light. Only it is cleared for the next hits.
+    has_one: u64,
+    materials: [PointMaterial; 64],
+}
+
+impl PointMaterials {
+    pub(crate) const NONE: Self =
+        Self { has_one: 0, materials: [PointMaterial { finish: Finish::Matte, emissive: Vec3::ZERO }; 64] };
+
+    /// The material at a hit; `None` if the surface only scatters light.
+    #[inline(always)]
+    pub(crate) fn get(&self, hit: usize) -> Option<&PointMaterial> {
+        self.materials.get(hit).filter(|_| self.has_one >> hit & 1 == 1)
+    }
+
+    fn clear(&mut self) {
+        self.has_one = 0;
+    }
+
+    fn set(&mut self, hit: usize, material: PointMaterial) {
+        self.materials[hit] = material;
+        self.has_one |= 1 << hit;
+    }
+}
+
+/// The numbers of hits, in their order.
+const NUMBERS: [usize; 64] = {
+    let mut numbers = [0; 64];
+    let mut number = 0;
+    while number < 64 {
+        numbers[number] = number;
+        number += 1;
+    }
+    numbers
+};
 
 /// The part of an image that a material needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -200,96 +237,89 @@ impl TracedMaterials {
         self.has_masks
     }
 
-    /// Finds the materials where up to 64 rays hit triangles; `None` for misses, caps, and where a surface only scatters light.
-    /// Calls `tint` with the number of each ray that hits a triangle with a material, and the linear base colour there, without
-    /// the vertices'. There are footprints if triangles have texture coordinates.
+    /// Finds the materials at up to 64 hits on `triangles`, and multiplies `colors`, by channel, by the linear base colours there.
+    /// There are footprints if triangles have texture coordinates.
     pub(crate) fn find(
         &self,
         instructions: InstructionSet,
-        hits: &[Hit],
+        triangles: &[u32],
         footprints: &Footprints,
-        points: &mut [Option<PointMaterial>; 64],
-        mut tint: impl FnMut(usize, Vec3),
+        colors: &mut [[f32; 64]; 3],
+        points: &mut PointMaterials,
     ) {
-        // Find the samples on triangles, and their materials.
-        let (mut samples, mut n) = ([0; 64], 0);
-        for (sample, hit) in hits.iter().enumerate().take(64) {
-            points[sample] = None;
-            samples[n] = sample;
-            n += usize::from(!hit.is_miss() && !hit.is_cap());
-        }
-        let samples = &samples[..n];
-        if self.of_triangles.is_empty() {
-            self.set(instructions, 0, (samples, footprints), points, &mut tint);
-            return;
-        }
+        points.clear();
         let mut indices = [0; 64];
-        for (index, &sample) in indices.iter_mut().zip(samples) {
-            *index = self.index_of_triangle(hits[sample].triangle);
+        let of_triangles = if self.of_triangles.is_empty() { &[] } else { triangles };
+        for (index, &triangle) in indices.iter_mut().zip(of_triangles) {
+            *index = self.index_of_triangle(triangle);
         }
-        let indices = &indices[..n];
-        if let Some(&first) = indices.first()
-            && indices.iter().all(|&index| index == first)
-        {
-            self.set(instructions, first, (samples, footprints), points, &mut tint);
+        let (indices, first) = (&indices[..triangles.len()], indices[0]);
+        if indices.iter().take(of_triangles.len()).all(|&index| index == first) {
+            let tints = self.set(instructions, first, (&NUMBERS[..indices.len()], footprints), points);
+            for (colors, tints) in colors.iter_mut().zip(&tints) {
+                colors.iter_mut().zip(tints).for_each(|(color, tint)| *color *= tint);
+            }
             return;
         }
 
         // Look up the textures of one material after the other.
-        let mut rest = u64::MAX.checked_shr(64 - n as u32).unwrap_or(0);
+        let mut rest = u64::MAX >> (64 - indices.len());
         while rest != 0 {
             let index = indices[rest.trailing_zeros() as usize];
-            let (mut of_material, mut picked, mut n) = ([0; 64], [0; 64], 0);
-            for (number, (&sample, &other)) in samples.iter().zip(indices).enumerate() {
-                (of_material[n], picked[n]) = (sample, number);
+            let (mut hits, mut n) = ([0; 64], 0);
+            for (hit, &other) in indices.iter().enumerate() {
+                hits[n] = hit;
                 n += usize::from(other == index);
-                rest &= !(u64::from(other == index) << number);
+                rest &= !(u64::from(other == index) << hit);
             }
-            let footprints = if footprints.is_empty() { Footprints::NONE } else { footprints.pick(&picked[..n]) };
-            self.set(instructions, index, (&of_material[..n], &footprints), points, &mut tint);
+            let hits = &hits[..n];
+            let footprints = if footprints.is_empty() { Footprints::NONE } else { footprints.pick(hits) };
+            let tints = self.set(instructions, index, (hits, &footprints), points);
+            for (colors, tints) in colors.iter_mut().zip(&tints) {
+                hits.iter().zip(tints).for_each(|(&hit, tint)| colors[hit] *= tint);
+            }
         }
     }
 
-    /// Sets the material of samples, multiplied by its textures if there are footprints.
+    /// Sets the material at some hits, multiplied by its textures if there are footprints. Returns the base colours there, by
+    /// channel, in the order of these hits.
     fn set(
         &self,
         instructions: InstructionSet,
         index: usize,
-        (samples, footprints): (&[usize], &Footprints),
-        points: &mut [Option<PointMaterial>; 64],
-        tint: &mut impl FnMut(usize, Vec3),
-    ) {
+        (hits, footprints): (&[usize], &Footprints),
+        points: &mut PointMaterials,
+    ) -> [[f32; 64]; 3] {
+        let mut tints = [[1.0; 64]; 3];
         let Some(TracedMaterial { base_color, plain, base_color_texture, gloss_texture, emissive_texture, .. }) =
             self.materials.get(index)
         else {
-            return;
+            return tints;
         };
-        let mut means = [[1.0; 64]; 3];
-        self.look_up(instructions, base_color_texture.as_ref(), footprints, &mut means);
-        for (index, &sample) in samples.iter().enumerate().take(64) {
-            tint(sample, base_color * Vec3::new(means[0][index], means[1][index], means[2][index]));
+        self.look_up(instructions, base_color_texture.as_ref(), footprints, &mut tints);
+        for (tints, base_color) in tints.iter_mut().zip(base_color.to_array()) {
+            tints.iter_mut().for_each(|tint| *tint *= base_color);
         }
         if plain.only_scatters() {
-            return;
+            return tints;
         }
-        samples.iter().for_each(|&sample| points[sample] = Some(*plain));
+        hits.iter().for_each(|&hit| points.set(hit, *plain));
+        let mut means = [[1.0; 64]; 3];
         if self.look_up(instructions, gloss_texture.as_ref(), footprints, &mut means) {
             let [_, roughnesses, metallics] = &means;
-            for (&sample, (of_roughness, of_metallic)) in samples.iter().zip(roughnesses.iter().zip(metallics)) {
-                if let Some(PointMaterial { finish: Finish::Glossy { roughness, metallic }, .. }) = &mut points[sample]
-                {
+            for (&hit, (of_roughness, of_metallic)) in hits.iter().zip(roughnesses.iter().zip(metallics)) {
+                if let Finish::Glossy { roughness, metallic } = &mut points.materials[hit].finish {
                     *roughness *= of_roughness;
                     *metallic *= of_metallic;
                 }
             }
         }
         if self.look_up(instructions, emissive_texture.as_ref(), footprints, &mut means) {
-            for (index, &sample) in samples.iter().enumerate().take(64) {
-                if let Some(point) = &mut points[sample] {
-                    point.emissive *= Vec3::new(means[0][index], means[1][index], means[2][index]);
-                }
+            for (index, &hit) in hits.iter().enumerate().take(64) {
+                points.materials[hit].emissive *= Vec3::new(means[0][index], means[1][index], means[2][index]);
             }
         }
+        tints
     }
 
     /// Finds the means of a texture over footprints; says whether there are any.
