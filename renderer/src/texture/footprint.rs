@@ -60,7 +60,7 @@ const REACH: f32 = 1.7;
 /// up to five squares need with 1.5 and 1.0, and a checkerboard to the horizon has the same PSNR.
 const BLUR: f32 = 1.25;
 
-/// Limit of [`Squares::n`]: longer footprints are blurred across.
+/// Limit of [`Squares::n`]: longer footprints are blurred across. [`Footprint::squares`] lists 1 / n up to it.
 pub(super) const MOST_SQUARES: u32 = 4;
 
 /// Rays by number, and the change of their directions across the width and the height of what each stands for.
@@ -233,7 +233,9 @@ impl Footprint {
         let minor = (area / major).max(1.0);
         // `clamp` would leave NaN, of which no number of squares can be made.
         let (n, integer) = round((major / (minor * REACH)).min(MOST_SQUARES as f32).max(1.0));
-        let (part, is_one) = (1.0 / n, integer == 1);
+        let is_one = integer == 1;
+        // Chosen, not divided: that took a 15th of the time of all lookups.
+        let part = if n < 1.5 { 1.0 } else if n < 2.5 { 0.5 } else if n < 3.5 { 1.0 / 3.0 } else { 0.25 };
 
         // A single square needs no axis, and a circle has none.
         let (xx, yy, xy) = (a.x * a.x + b.x * b.x, a.y * a.y + b.y * b.y, a.x * a.y + b.x * b.y);

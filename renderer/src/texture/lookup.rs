@@ -7,7 +7,7 @@ use crate::{
     simd::{Kernel, Simd},
     texture::{
         footprint::{self, FootprintLanes, Footprints, MOST_SQUARES},
-        level::{Level, blocks_per_row, column_offset, halved, neighbours, row_offset},
+        level::{blocks_per_row, column_offset, halved, neighbours, row_offset},
         mip_map::MipMap,
         texel::{Texel, UNITS},
     },
@@ -18,6 +18,9 @@ const N: usize = 16;
 
 /// [`N`] samples each.
 const N_CHUNKS: usize = 64 / N;
+
+/// Levels that are used, as many as a vector can choose from: all of an image of 32768×32768.
+const MOST_LEVELS: usize = 16;
 
 /// Computes the means of a texture over footprints of samples.
 pub(super) struct Means<'a> {
@@ -40,8 +43,6 @@ struct Plans {
     n_lookups: [u32; 64],
     /// The part that a lookup has of the light, on the level and on the next.
     weights: [[f32; 64]; 2],
-    /// Indices of the first texels of the level and of the next.
-    firsts: [[u32; 64]; 2],
 }
 
 /// The numbers of samples, in their order, with room for a vector after the last.
@@ -76,7 +77,6 @@ impl Kernel for Means<'_> {
         if let Some(order) = &order {
             plans.sort(&order[..n]);
         }
-        plans.find_levels(&self.map.levels);
         let lights = plans.lights::<S>(self.map, self.wrap);
         for (means, lights) in self.means.iter_mut().zip(&lights) {
             let Some(order) = &order else {
@@ -126,7 +126,7 @@ impl Means<'_> {
         let Self { map, transform, footprints, .. } = self;
         let [width, height] = map.levels[0].size;
         let size = Vec2::new(width as i32 as f32, height as i32 as f32);
-        let last = map.levels.len() as u32 - 1;
+        let last = map.levels.len().min(MOST_LEVELS) as u32 - 1;
         let mut plans = Plans {
             first: [[0.0; 64]; 2],
             step: [[0.0; 64]; 2],
@@ -134,7 +134,6 @@ impl Means<'_> {
             level: [0; 64],
             n_lookups: [0; 64],
             weights: [[0.0; 64]; 2],
-            firsts: [[0; 64]; 2],
         };
         let chunks = footprints.lanes.iter().take(footprints.n.div_ceil(footprint::N));
         for (chunk, footprints) in chunks.enumerate() {
@@ -211,39 +210,26 @@ impl Plans {
         }
     }
 
-    /// Finds where the texels of levels begin.
-    #[inline(always)]
-    fn find_levels(&mut self, of_map: &[Level]) {
-        let Self { level: levels, firsts, .. } = self;
-        // Most samples of a tile show one or two levels, and a comparison for each of these is faster than a search by sample.
-        let [finest, coarsest] = [levels.iter().min(), levels.iter().max()].map(|level| level.copied().unwrap_or(0));
-        for level in finest..=coarsest {
-            let pair = [level, level + 1].map(|level| of_map.get(level as usize).map_or(0, |level| level.first));
-            for (firsts, of_level) in firsts.iter_mut().zip(pair) {
-                for sample in 0..64 {
-                    firsts[sample] = select(levels[sample] == level, firsts[sample], of_level);
-                }
-            }
-        }
-    }
-
     /// The mean light of each sample.
     #[inline(always)]
     fn lights<S: Simd>(&self, map: &MipMap, wrap: [Wrap; 2]) -> [[f32; 64]; 3] {
         let mut lights = [[0.0; 64]; 3];
         let mut points = [[Points::NONE; N_CHUNKS]; 2];
+        let mut first_texels = [0; MOST_LEVELS];
+        first_texels.iter_mut().zip(&map.levels).for_each(|(first, level)| *first = level.first);
+        let levels = (map, &first_texels);
         let n_lookups = self.n_lookups.iter().copied().max().unwrap_or(0);
         // Find the texels of the next lookups before the present ones are read: memory delivers them meanwhile.
         let mut present = self.chunks_with(0);
         for &chunk in present.as_slice() {
-            points[0][chunk].find::<S, true>(self, chunk, 0, map, wrap);
+            points[0][chunk].find::<S, true>(self, chunk, 0, levels, wrap);
         }
         for number in 1..=n_lookups {
             let [even, odd] = &mut points;
             let (of_present, of_next) = if number % 2 == 1 { (even, odd) } else { (odd, even) };
             let next = self.chunks_with(number);
             for &chunk in next.as_slice() {
-                of_next[chunk].find::<S, false>(self, chunk, number, map, wrap);
+                of_next[chunk].find::<S, false>(self, chunk, number, levels, wrap);
             }
             for &chunk in present.as_slice() {
                 of_present[chunk].blend::<S>(map, chunk, &mut lights);
@@ -315,17 +301,16 @@ impl Points {
         plans: &Plans,
         chunk: usize,
         number: u32,
-        map: &MipMap,
+        (map, first_texels): (&MipMap, &[u32; MOST_LEVELS]),
         wrap: [Wrap; 2],
     ) {
         let (n_squares, n_lookups) = (lanes(&plans.n_squares, chunk), lanes(&plans.n_lookups, chunk));
         let [first_u, first_v] = plans.first.each_ref().map(|numbers| lanes(numbers, chunk));
         let [step_u, step_v] = plans.step.each_ref().map(|numbers| lanes(numbers, chunk));
         let [of_level, of_next] = plans.weights.each_ref().map(|numbers| lanes(numbers, chunk));
-        let [first, next_first] = plans.firsts.each_ref().map(|numbers| lanes(numbers, chunk));
         let (mut u, mut v) = ([0.0; N], [0.0; N]);
-        let (mut sizes, mut firsts) = ([[1; N]; 2], [0; N]);
-        let (levels, size) = (lanes(&plans.level, chunk), map.levels[0].size);
+        let (mut sizes, mut levels, mut firsts) = ([[1; N]; 2], [0; N], [0; N]);
+        let (of_plans, size) = (lanes(&plans.level, chunk), map.levels[0].size);
         for n in 0..N {
             // The first lookup is on the level. A lane without one repeats its last: other texels would be fetched for nothing.
             let own = if IS_FIRST { number } else { number.min(n_lookups[n].wrapping_sub(1)) };
@@ -335,9 +320,11 @@ impl Points {
             v[n] = first_v[n] + if IS_FIRST { 0.0 } else { step_v[n] * square };
             let weight = select(is_next, of_level[n].to_bits(), of_next[n].to_bits());
             self.weights[n] = if number < n_lookups[n] { f32::from_bits(weight) } else { 0.0 };
-            let level = levels[n] + u32::from(is_next);
-            (sizes[0][n], sizes[1][n]) = (halved(size[0], level), halved(size[1], level));
-            firsts[n] = select(is_next, first[n], next_first[n]);
+            levels[n] = of_plans[n] + u32::from(is_next);
+            (sizes[0][n], sizes[1][n]) = (halved(size[0], levels[n]), halved(size[1], levels[n]));
+        }
+        for first in (0..N).step_by(S::LANES) {
+            S::pick_bits(first_texels, &levels[first..]).store_bits(&mut firsts[first..]);
         }
         self.find_texels(&u, &v, &sizes, &firsts, wrap);
         // The other three mostly lie in the same cache line.
