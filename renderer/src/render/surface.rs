@@ -276,7 +276,7 @@ impl RayHits {
                 sides: rays.sides(of_lanes[lane]),
                 corners: triangles.corners.each_ref().map(|corner| get(corner, lane)),
                 normal: get(&triangles.normals, lane),
-                distance_by_area: (f64::from(self.distances[lane]) * triangles.inverse_areas[lane]) as f32,
+                distance_by_area: self.distances[lane] * triangles.inverse_areas[lane],
             };
             let point = |[u, v]: &footprint::Points| Vec2::new(u[lane], v[lane]);
             let coordinates = [point(&coordinates[0]), point(&coordinates[1]), point(&coordinates[2])];

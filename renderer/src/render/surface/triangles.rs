@@ -15,8 +15,8 @@ pub(super) struct TriangleLanes {
     pub(super) corners: [Vectors; 3],
     /// Of unit length, on the side where the corners run counter-clockwise; zero for slivers too thin to have one.
     pub(super) normals: Vectors,
-    /// 1 over twice the area.
-    pub(super) inverse_areas: [f64; N],
+    /// 1 over twice the area, infinite for slivers too thin to have one.
+    pub(super) inverse_areas: [f32; N],
     /// Of about unit length; those of the triangle where a corner has none.
     pub(super) corner_normals: Option<[Vectors; 3]>,
     /// Linear.
@@ -74,7 +74,7 @@ impl TriangleLanes {
             let [a, b, c] = [get(a, lane).as_dvec3(), get(b, lane).as_dvec3(), get(c, lane).as_dvec3()];
             let normal = (b - a).cross(c - a);
             set(&mut self.normals, lane, normalize_or_zero(normal));
-            self.inverse_areas[lane] = 1.0 / normal.length();
+            self.inverse_areas[lane] = (1.0 / normal.length()) as f32;
         }
     }
 
@@ -107,9 +107,8 @@ impl TriangleLanes {
         }
         if let Some(coordinates) = &self.coordinates {
             picked.coordinates = Some(pick_vectors::<S, 2>(coordinates, places));
-            for (inverse_area, &place) in picked.inverse_areas.iter_mut().zip(places) {
-                *inverse_area = self.inverse_areas[place as usize % N];
-            }
+            let [inverse_areas] = pick::<S, 1>(std::array::from_ref(&self.inverse_areas), places);
+            picked.inverse_areas = inverse_areas;
         }
         picked
     }
