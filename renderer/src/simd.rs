@@ -101,6 +101,17 @@ fn last_index<T>(items: &[T]) -> u32 {
     items.len().checked_sub(1).expect("items to gather").min(i32::MAX as usize) as u32
 }
 
+/// The index of the last three of bytes that another byte follows.
+///
+/// # Panics
+///
+/// If there is none.
+#[inline(always)]
+fn last_three(bytes: &[u8]) -> u32 {
+    let last = bytes.len().checked_sub(4).expect("threes to gather") / 3;
+    last.min(u32::MAX as usize) as u32
+}
+
 /// The numbers from `first` on, for the lanes of [`Simd::load_bits`].
 #[inline(always)]
 pub(crate) fn consecutive(first: u32) -> [u32; 16] {
@@ -189,6 +200,19 @@ pub(crate) trait Simd: Copy {
     /// Gathers items of four bytes as they are, at the first [`Simd::LANES`] indices; those beyond the last give it. There must
     /// be items.
     fn gather_bits<T: NoUninit>(from: &[T], indices: &[u32]) -> Self;
+    /// Gathers threes of bytes, each in the lower bytes of a lane, at the first [`Simd::LANES`] indices; those beyond the last give
+    /// it. Threes lie one after the other, and at least one byte follows the last.
+    fn gather_threes(bytes: &[u8], indices: &[u32]) -> Self;
+    /// [`Simd::gather_threes`] without a gather instruction.
+    #[inline(always)]
+    fn load_threes(bytes: &[u8], indices: &[u32]) -> Self {
+        let (mut words, last) = ([0; 16], last_three(bytes));
+        for lane in 0..Self::LANES {
+            let first = 3 * indices[lane].min(last) as usize;
+            words[lane] = u32::from_le_bytes(*bytes[first..].first_chunk().expect("a byte follows the last three"));
+        }
+        Self::load_bits(&words)
+    }
     /// Takes the numbers at the first [`Simd::LANES`] places of a table; only the lowest four bits of a place count.
     fn pick(table: &[f32; 16], places: &[u32]) -> Self;
     /// [`Simd::pick`] for numbers as they are.
@@ -325,6 +349,10 @@ impl Simd for Portable {
         }
         gathered
     }
+    #[inline(always)]
+    fn gather_threes(bytes: &[u8], indices: &[u32]) -> Self {
+        Self::load_threes(bytes, indices)
+    }
     methods! {
         fn store(self, to: &mut [f32]) -> () = to[..8].copy_from_slice(&self.0);
         fn splat(x: f32) -> Self = Self([x; 8]);
@@ -435,6 +463,37 @@ mod tests {
                     assert_eq!(gathered[lane], numbers[(n - 1).min(indices[lane] as usize)]);
                 }
             }
+        }
+    }
+
+    /// Gathers threes of bytes within and beyond a slice, with and without a gather instruction.
+    struct GathersThrees;
+
+    impl Kernel for GathersThrees {
+        type Output = ();
+        #[inline(always)]
+        fn run<S: Simd>(self) {
+            let bytes: [u8; 61] = std::array::from_fn(|byte| 3 + 4 * byte as u8);
+            let indices = [3, 0, 19, 7, u32::MAX, 1 << 31, 20, 5, 18, 2, 11, 4, 1 << 30, 0, 17, 6];
+            for n in 1..=20 {
+                let bytes = &bytes[..3 * n + 1];
+                for gathered in [S::gather_threes(bytes, &indices), S::load_threes(bytes, &indices)] {
+                    let mut lanes = [0u32; 16];
+                    gathered.store_bits(&mut lanes);
+                    for lane in 0..S::LANES {
+                        let first = 3 * (n - 1).min(indices[lane] as usize);
+                        assert_eq!(lanes[lane].to_le_bytes()[..3], bytes[first..first + 3]);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn threes_are_gathered_alike_on_every_instruction_set() {
+        for instructions in InstructionSet::available() {
+            // SAFETY: they are available.
+            unsafe { instructions.call(GathersThrees) };
         }
     }
 

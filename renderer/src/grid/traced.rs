@@ -43,9 +43,9 @@ pub struct TracedMesh {
     corners: Corners,
     /// The number of each triangle in the file.
     file_indices: PackedNumbers,
-    /// sRGB and a zero, so that a gather finds it; one for each vertex; empty in a mesh without colours.
+    /// sRGB; one for each vertex, and another for gathers, which load more than three bytes; empty in a mesh without colours.
     #[serde(skip)]
-    colors: Section<[u8; 4]>,
+    colors: Section<[u8; 3]>,
     /// One for each vertex; empty in a mesh without textures.
     #[serde(skip)]
     texture_coordinates: Section<[f32; 2]>,
@@ -77,7 +77,7 @@ impl TracedMesh {
 
     fn vertex_bytes(mesh: &Mesh) -> u64 {
         let bytes_per_vertex = Positions::bytes_per_vertex(mesh.lattice.as_ref())
-            + usize::from(!mesh.colors.is_empty()) * size_of::<[u8; 4]>()
+            + usize::from(!mesh.colors.is_empty()) * size_of::<[u8; 3]>()
             + usize::from(!mesh.normals.is_empty()) * size_of::<Normal>()
             + usize::from(!mesh.texture_coordinates.is_empty()) * size_of::<[f32; 2]>();
         bytes_per_vertex as u64 * vertices_in_order(mesh)
@@ -97,10 +97,10 @@ impl TracedMesh {
             positions: Positions::new(&vertices, lattice, &kept_vertices),
             corners,
             file_indices,
-            colors: of_vertices(&colors, &kept_vertices, |&[red, green, blue]| [red, green, blue, 0]).into(),
-            normals: of_vertices(&normals, &kept_vertices, |normal| *normal).into(),
+            colors: of_vertices(&colors, &kept_vertices, 1).into(),
+            normals: of_vertices(&normals, &kept_vertices, 0).into(),
             texture_coordinates: if is_textured {
-                of_vertices(&texture_coordinates, &kept_vertices, |coordinates| *coordinates).into()
+                of_vertices(&texture_coordinates, &kept_vertices, 0).into()
             } else {
                 Section::default()
             },
@@ -300,10 +300,10 @@ impl TracedMesh {
     #[inline(always)]
     pub(crate) fn gather_colors<S: Simd>(&self, vertices: &[u32; 16], to: &mut [[f32; 16]; 3], first: usize) {
         let mut colors = [0u32; 16];
-        S::gather_bits(&self.colors, vertices).store_bits(&mut colors);
+        S::gather_threes(self.colors.as_flattened(), vertices).store_bits(&mut colors);
         for (channel, to) in to.iter_mut().enumerate() {
             for (to, color) in to[first..first + S::LANES].iter_mut().zip(&colors) {
-                *to = srgb::decode_nearly(color.to_ne_bytes()[channel]);
+                *to = srgb::decode_nearly(color.to_le_bytes()[channel]);
             }
         }
     }
@@ -326,12 +326,12 @@ fn vertices_in_order(mesh: &Mesh) -> u64 {
     mesh.vertices.len() as u64 * 3 / 2
 }
 
-/// Values of the kept vertices, as they are stored; none where the mesh has none.
-fn of_vertices<T: Sync, U: Pod + Send>(values: &[T], kept: &[Vec<u32>], stored: impl Fn(&T) -> U + Sync) -> Vec<U> {
+/// Values of the kept vertices, and so many more zeros; none where the mesh has none.
+fn of_vertices<T: Pod + Send + Sync>(values: &[T], kept: &[Vec<u32>], n_zeros: usize) -> Vec<T> {
     if values.is_empty() {
         return Vec::new();
     }
-    in_order(kept, 1, 0, |vertex, to| to[0] = stored(&values[vertex as usize]))
+    in_order(kept, 1, n_zeros, |vertex, to| to[0] = values[vertex as usize])
 }
 
 /// The kept vertices' values as `write` gives them by the vertices' numbers as loaded, `stride` items for each, and so many more
