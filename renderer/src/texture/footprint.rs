@@ -235,7 +235,15 @@ impl Footprint {
         let (n, integer) = round((major / (minor * REACH)).min(MOST_SQUARES as f32).max(1.0));
         let is_one = integer == 1;
         // Chosen, not divided: that took a 15th of the time of all lookups.
-        let part = if n < 1.5 { 1.0 } else if n < 2.5 { 0.5 } else if n < 3.5 { 1.0 / 3.0 } else { 0.25 };
+        let part = if n < 1.5 {
+            1.0
+        } else if n < 2.5 {
+            0.5
+        } else if n < 3.5 {
+            1.0 / 3.0
+        } else {
+            0.25
+        };
 
         // A single square needs no axis, and a circle has none.
         let (xx, yy, xy) = (a.x * a.x + b.x * b.x, a.y * a.y + b.y * b.y, a.x * a.y + b.x * b.y);

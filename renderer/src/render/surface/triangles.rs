@@ -66,7 +66,7 @@ impl TriangleLanes {
         lanes
     }
 
-    /// In double precision, for triangles of any size.
+    /// Finds normals and areas in double precision, for triangles of any size.
     #[inline(always)]
     fn find_normals(&mut self) {
         let [a, b, c] = &self.corners;
