@@ -102,12 +102,10 @@ impl<R: WideRays> Kernel for LiftedPoints<'_, R> {
     fn run<S: Simd>(self) {
         let Self { lift, rays, hits, points } = self;
         points[..hits.len()].fill(None);
-        for (of_lanes, n) in TriangleHits::of(hits).lanes() {
+        for (of_lanes, triangles, n) in TriangleHits::of(hits).lanes() {
             // Gather the rays, and the triangles that they hit.
-            let mut triangles = [0; N];
             let [mut origins, mut directions] = [[[0.0; N]; 3]; 2];
             for (lane, &number) in of_lanes.iter().enumerate() {
-                triangles[lane] = hits[number].triangle;
                 set(&mut origins, lane, rays.origin(number));
                 set(&mut directions, lane, rays.direction(number));
             }

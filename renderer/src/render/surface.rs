@@ -105,15 +105,11 @@ impl<R: WideRays> Kernel for Surfaces<'_, R> {
         footprints.clear();
         *on_triangles = TriangleHits::of(hits);
         // Close to a model many samples show the same triangle, whose corners are found and decoded once.
-        let few = FewTriangles::of::<S>(&on_triangles.triangles, on_triangles.n);
-        let mut of_few = None;
-        if let Some(few) = &few {
-            of_few = Some(TriangleLanes::gather::<S>(mesh, &few.triangles));
-        }
-        for (chunk, (of_lanes, n)) in on_triangles.lanes().enumerate() {
-            let triangles = match (&few, &of_few) {
-                (Some(few), Some(of_few)) => of_few.pick::<S>(&few.places.as_chunks().0[chunk]),
-                _ => TriangleLanes::gather::<S>(mesh, &on_triangles.triangles.as_chunks().0[chunk]),
+        let few = FewTriangles::gather::<S>(mesh, &on_triangles.triangles, on_triangles.n);
+        for (chunk, (of_lanes, triangles, n)) in on_triangles.lanes().enumerate() {
+            let triangles = match &few {
+                Some(few) => few.pick::<S>(chunk),
+                None => TriangleLanes::gather::<S>(mesh, triangles),
             };
             let hits = RayHits::of(rays, hits, &of_lanes);
             let colors = colors.each_mut().map(|channel| &mut channel.as_chunks_mut().0[chunk]);
@@ -176,13 +172,13 @@ impl TriangleHits {
         (place < 64).then_some(place)
     }
 
-    /// Their numbers, [`N`] at a time, and how many these are: lanes beyond the last repeat it. They are chosen here: loops with a
-    /// check do not become vector instructions, and a frame's shading took 1.5 times as long.
+    /// Their numbers and triangles, [`N`] at a time, and how many these are: lanes beyond the last repeat it. They are chosen here:
+    /// loops with a check do not become vector instructions, and a frame's shading took 1.5 times as long.
     #[inline(always)]
-    pub(super) fn lanes(&self) -> impl Iterator<Item = ([usize; N], usize)> {
-        self.numbers[..self.n].chunks(N).map(|numbers| {
+    pub(super) fn lanes(&self) -> impl Iterator<Item = ([usize; N], &[u32; N], usize)> {
+        self.numbers[..self.n].chunks(N).zip(self.triangles.as_chunks().0).map(|(numbers, triangles)| {
             let n = numbers.len();
-            (std::array::from_fn(|lane| numbers[lane.min(n - 1)]), n)
+            (std::array::from_fn(|lane| numbers[lane.min(n - 1)]), triangles, n)
         })
     }
 }

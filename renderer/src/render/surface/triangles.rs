@@ -1,4 +1,4 @@
-//! What many hits need to know of their triangles: found for each lane, or once for all hits on the same triangle.
+//! Triangles of many hits: gathered for each lane, or once for all hits that share one.
 
 use glam::Vec3;
 
@@ -90,7 +90,7 @@ impl TriangleLanes {
 
     /// The triangles at some places, below [`N`], of these.
     #[inline(always)]
-    pub(super) fn pick<S: Simd>(&self, places: &[u32; N]) -> Self {
+    fn pick<S: Simd>(&self, places: &[u32; N]) -> Self {
         let mut picked = Self {
             corners: pick_vectors::<S, 3>(&self.corners, places),
             normals: pick::<S, 3>(&self.normals, places),
@@ -143,8 +143,8 @@ fn corner_direction(normal: Normal, of_triangle: Vec3) -> Vec3 {
 
 /// The triangles of up to 64 hits, which are few, and the place of each hit's among them.
 pub(super) struct FewTriangles {
-    pub(super) triangles: [u32; N],
-    pub(super) places: [u32; 64],
+    lanes: TriangleLanes,
+    places: [u32; 64],
 }
 
 /// Where more neighbours than so many differ, there are mostly more than [`N`] triangles.
@@ -153,26 +153,30 @@ const MOST_CHANGES: u32 = 36;
 impl FewTriangles {
     /// `None` if there are more than [`N`], or so few hits that they are done at once in any case.
     #[inline(always)]
-    pub(super) fn of<S: Simd>(triangles: &[u32; 64], n_hits: usize) -> Option<Self> {
-        let n_changes: u32 = triangles.iter().zip(&triangles[1..]).map(|(one, next)| u32::from(one != next)).sum();
+    pub(super) fn gather<S: Simd>(mesh: &TracedMesh, of_hits: &[u32; 64], n_hits: usize) -> Option<Self> {
+        let n_changes: u32 = of_hits.iter().zip(&of_hits[1..]).map(|(one, next)| u32::from(one != next)).sum();
         if n_hits <= N || n_changes > MOST_CHANGES {
             return None;
         }
-        let mut few = Self { triangles: [triangles[0]; N], places: [0; 64] };
-        let mut rest = u64::MAX;
+        let (mut triangles, mut places, mut rest) = ([of_hits[0]; N], [0; 64], u64::MAX);
         for place in 0..N {
-            let triangle = triangles[rest.trailing_zeros() as usize % 64];
-            few.triangles[place] = triangle;
+            triangles[place] = of_hits[rest.trailing_zeros() as usize % 64];
             for first in (0..64).step_by(S::LANES) {
-                let same = S::eq_mask(&triangles[first..], triangle);
-                S::masked_fill(place as u32, same, &mut few.places[first..]);
+                let same = S::eq_mask(&of_hits[first..], triangles[place]);
+                S::masked_fill(place as u32, same, &mut places[first..]);
                 rest &= !(u64::from(same) << first);
             }
             if rest == 0 {
-                return Some(few);
+                return Some(Self { lanes: TriangleLanes::gather::<S>(mesh, &triangles), places });
             }
         }
         None
+    }
+
+    /// The triangles of a chunk of [`N`] hits.
+    #[inline(always)]
+    pub(super) fn pick<S: Simd>(&self, chunk: usize) -> TriangleLanes {
+        self.lanes.pick::<S>(&self.places.as_chunks().0[chunk])
     }
 }
 
@@ -195,10 +199,9 @@ mod tests {
             for n_triangles in 1..=N as u32 {
                 // Runs of three, as neighbours mostly are.
                 let triangles: [u32; 64] = std::array::from_fn(|hit| 7 * (hit as u32 / 3 % n_triangles));
-                let few = FewTriangles::of::<S>(&triangles, 64).expect("few triangles");
-                let of_few = TriangleLanes::gather::<S>(self.0, &few.triangles);
-                for (triangles, places) in triangles.as_chunks().0.iter().zip(few.places.as_chunks().0) {
-                    let (picked, own) = (of_few.pick::<S>(places), TriangleLanes::gather::<S>(self.0, triangles));
+                let few = FewTriangles::gather::<S>(self.0, &triangles, 64).expect("few triangles");
+                for (chunk, triangles) in triangles.as_chunks().0.iter().enumerate() {
+                    let (picked, own) = (few.pick::<S>(chunk), TriangleLanes::gather::<S>(self.0, triangles));
                     assert_eq!(picked.corners, own.corners);
                     assert_eq!(picked.normals, own.normals);
                     assert_eq!(picked.corner_normals, own.corner_normals);
@@ -207,8 +210,8 @@ mod tests {
             }
             let n_changes = MOST_CHANGES / 2;
             let many = std::array::from_fn(|hit| if hit < 2 { 0 } else { hit as u32 % n_changes });
-            assert!(FewTriangles::of::<S>(&many, 64).is_none(), "{n_changes} triangles");
-            assert!(FewTriangles::of::<S>(&[1; 64], N).is_none(), "hits of a single chunk");
+            assert!(FewTriangles::gather::<S>(self.0, &many, 64).is_none(), "{n_changes} triangles");
+            assert!(FewTriangles::gather::<S>(self.0, &[1; 64], N).is_none(), "hits of a single chunk");
         }
     }
 
