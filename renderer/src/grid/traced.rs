@@ -1,6 +1,7 @@
 //! The mesh that rays hit: ordered so that triangles close in space are close in memory.
 
 mod corners;
+mod numbering;
 mod positions;
 mod stored;
 
@@ -27,6 +28,7 @@ use crate::{
     },
 };
 use corners::Corners;
+use numbering::Vertices;
 use positions::Positions;
 
 /// Bytes of a file index, rounded up; more where neighbours come from far apart in the file.
@@ -87,23 +89,21 @@ impl TracedMesh {
     pub fn new(mesh: Mesh, order: Vec<u32>) -> Self {
         let (bounds, bulk_bounds, facing) = (mesh.bounds(), mesh.bulk().bounds, mesh.facing());
         let Mesh { vertices, lattice, triangles, colors, normals, texture_coordinates, materials, origin, .. } = mesh;
-        let (corners, kept_vertices) = Corners::new(&order, &triangles);
-        drop(triangles);
         let materials = TracedMaterials::new(materials, &order);
+        let texture_coordinates = if materials.has_textures() { texture_coordinates } else { Vec::new() };
+        let of_vertices =
+            Vertices { positions: &vertices, normals: &normals, colors: &colors, coordinates: &texture_coordinates };
+        let (corners, kept) = Corners::new(&order, &triangles, &of_vertices);
+        drop(triangles);
         let file_indices = PackedNumbers::new(&order);
         drop(order);
-        let is_textured = materials.has_textures() && !texture_coordinates.is_empty();
         Self {
-            positions: Positions::new(&vertices, lattice, &kept_vertices),
+            positions: Positions::new(&vertices, lattice, &kept),
             corners,
             file_indices,
-            colors: of_vertices(&colors, &kept_vertices, 1).into(),
-            normals: of_vertices(&normals, &kept_vertices, 0).into(),
-            texture_coordinates: if is_textured {
-                of_vertices(&texture_coordinates, &kept_vertices, 0).into()
-            } else {
-                Section::default()
-            },
+            colors: values_of(&colors, &kept, 1).into(),
+            normals: values_of(&normals, &kept, 0).into(),
+            texture_coordinates: values_of(&texture_coordinates, &kept, 0).into(),
             materials,
             bounds,
             bulk_bounds,
@@ -290,10 +290,20 @@ impl TracedMesh {
         self.corners.of_lanes::<S>(triangle_indices)
     }
 
-    /// Gathers the bits of vertices' normals into as many lanes as a vector has; the mesh must have normals.
+    /// Gathers the bits of the normals of triangles' corners, one triangle per lane, by corner, into as many lanes as a vector
+    /// has; the mesh must have normals.
     #[inline(always)]
-    pub(crate) fn gather_normals<S: Simd>(&self, vertices: &[u32; 16], to: &mut [u32]) {
-        S::gather_bits(&self.normals, vertices).store_bits(to);
+    pub(crate) fn gather_normals<S: Simd>(
+        &self,
+        triangle_indices: &[u32; 16],
+        vertices: &[[u32; 16]; 3],
+        to: [&mut [u32]; 3],
+    ) {
+        let [to_a, to_b, to_c] = to;
+        S::gather_bits(&self.normals, &vertices[0]).store_bits(to_a);
+        S::gather_bits(&self.normals, &vertices[1]).store_bits(to_b);
+        S::gather_bits(&self.normals, &vertices[2]).store_bits(to_c);
+        self.corners.flatten::<S>(triangle_indices, [to_a, to_b, to_c]);
     }
 
     /// Gathers the linear colours of vertices by channel into as many lanes as a vector has; the mesh must have colours.
@@ -327,7 +337,7 @@ fn vertices_in_order(mesh: &Mesh) -> u64 {
 }
 
 /// Values of the kept vertices, and so many more zeros; none where the mesh has none.
-fn of_vertices<T: Pod + Send + Sync>(values: &[T], kept: &[Vec<u32>], n_zeros: usize) -> Vec<T> {
+fn values_of<T: Pod + Send + Sync>(values: &[T], kept: &[Vec<u32>], n_zeros: usize) -> Vec<T> {
     if values.is_empty() {
         return Vec::new();
     }

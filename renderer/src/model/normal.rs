@@ -33,6 +33,9 @@ impl Normal {
         Self([square.x, square.y].map(|x| (x * EDGE + 0.5).floor() as i16))
     }
 
+    /// The bits of [`Normal::OF_TRIANGLE`], as [`Normal::of_bits`] takes them.
+    pub(crate) const OF_TRIANGLE_BITS: u32 = 0x8000_8000;
+
     /// The normal of these bits, as [`Simd::gather_bits`](crate::simd::Simd::gather_bits) finds them.
     #[inline(always)]
     pub(crate) fn of_bits(bits: u32) -> Self {
@@ -104,6 +107,7 @@ mod tests {
             assert_eq!(Normal::new(none), Normal::OF_TRIANGLE);
         }
         assert_eq!(Normal::OF_TRIANGLE.vector(), None);
+        assert_eq!(Normal::of_bits(Normal::OF_TRIANGLE_BITS), Normal::OF_TRIANGLE);
         assert!(Normal::OF_TRIANGLE.direction().is_finite());
     }
 }

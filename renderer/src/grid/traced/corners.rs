@@ -4,10 +4,11 @@
 //! have vertices that lie close together. Each [`TRIANGLES_PER_WINDOW`] triangles have a window of 256 vertices, and their
 //! corners count from the window's start. A vertex that far triangles share is there twice.
 
-use bytemuck::Zeroable;
 use rayon::prelude::*;
 
 use crate::{
+    grid::traced::numbering::{Numbering, Vertices},
+    model::normal::Normal,
     scene_file::{
         fault::{Damage, Fault},
         section::Section,
@@ -25,6 +26,12 @@ const VERTICES_PER_WINDOW: usize = 256;
 /// Triangles that are numbered one after the other; parts of so many are numbered in parallel, and share no vertices.
 const TRIANGLES_PER_PART: usize = 1 << 16;
 
+/// One of so many triangles is looked at for whether some are flat.
+const SAMPLED_TRIANGLES: usize = 16;
+
+/// Triangles whose bits share a word.
+const TRIANGLES_PER_WORD: usize = u32::BITS as usize;
+
 /// Bytes after the last corner, so that four can be loaded from any triangle's first.
 const PADDING: usize = 1;
 
@@ -35,37 +42,62 @@ pub(super) struct Corners {
     bytes: Section<u8>,
     /// The first vertex of each window.
     window_starts: Section<u32>,
+    /// A bit for each triangle: whether it is flat, whatever normals its vertices have. Empty if none is.
+    flat: Section<u32>,
 }
 
 impl Corners {
     /// Bytes for each triangle, rounded up.
     pub(super) const BYTES_PER_TRIANGLE: u64 = 4;
 
-    /// Numbers the vertices of triangles in this order, in parallel. Returns the vertices too, part after part, by their
-    /// number in `triangles`.
+    /// Numbers the vertices of triangles in this order, in parallel. Returns the kept ones too, part after part, by their
+    /// number in `vertices`.
     ///
     /// # Panics
     ///
     /// If that takes more vertices than 32 bits can number.
-    pub(super) fn new(order: &[u32], triangles: &[[u32; 3]]) -> (Self, Vec<Vec<u32>>) {
+    pub(super) fn new(order: &[u32], triangles: &[[u32; 3]], vertices: &Vertices) -> (Self, Vec<Vec<u32>>) {
         let mut bytes = vec![0; 3 * order.len() + PADDING];
         let mut window_starts = vec![0; order.len().div_ceil(TRIANGLES_PER_WINDOW)];
+        let mut flat = vec![0; order.len().div_ceil(TRIANGLES_PER_WORD)];
+        let are_some_flat = are_some_flat(order, triangles, vertices);
         let parts = order
             .par_chunks(TRIANGLES_PER_PART)
             .zip(bytes.par_chunks_mut(3 * TRIANGLES_PER_PART))
-            .zip(window_starts.par_chunks_mut(TRIANGLES_PER_PART / TRIANGLES_PER_WINDOW));
-        let number = |((order, bytes), window_starts)| number_vertices(order, triangles, bytes, window_starts);
-        let vertices: Vec<Vec<u32>> = parts.map(number).collect();
+            .zip(window_starts.par_chunks_mut(TRIANGLES_PER_PART / TRIANGLES_PER_WINDOW))
+            .zip(flat.par_chunks_mut(TRIANGLES_PER_PART / TRIANGLES_PER_WORD));
+        let number = |(((order, bytes), window_starts), flat): (((&[u32], &mut [u8]), &mut [u32]), &mut [u32])| {
+            let mut numbering = Numbering::new(vertices, are_some_flat, order.len());
+            for (idx, (&triangle, bytes)) in order.iter().zip(bytes.as_chunks_mut().0).enumerate() {
+                if idx.is_multiple_of(TRIANGLES_PER_WINDOW) {
+                    // A window has room for as many new vertices as its triangles can have.
+                    let n_kept = numbering.kept().len();
+                    let start = n_kept.saturating_sub(VERTICES_PER_WINDOW - CORNERS_PER_WINDOW) as u32;
+                    numbering.begin_window(start);
+                    window_starts[idx / TRIANGLES_PER_WINDOW] = start;
+                }
+                let triangle = triangles[triangle as usize];
+                let is_flat = are_some_flat && vertices.are_flat(triangle);
+                flat[idx / TRIANGLES_PER_WORD] |= u32::from(is_flat) << (idx % TRIANGLES_PER_WORD);
+                let start = window_starts[idx / TRIANGLES_PER_WINDOW];
+                *bytes = triangle.map(|vertex| (numbering.number(vertex, is_flat) - start) as u8);
+            }
+            numbering.into_kept()
+        };
+        let kept: Vec<Vec<u32>> = parts.map(number).collect();
 
         // Windows of a part begin behind the vertices of those before it.
         let mut n_before = 0;
         for (of_part, window_starts) in
-            vertices.iter().zip(window_starts.chunks_mut(TRIANGLES_PER_PART / TRIANGLES_PER_WINDOW))
+            kept.iter().zip(window_starts.chunks_mut(TRIANGLES_PER_PART / TRIANGLES_PER_WINDOW))
         {
             window_starts.iter_mut().for_each(|start| *start += n_before);
             n_before = u32::try_from(of_part.len() as u64 + u64::from(n_before)).expect("vertices have 32-bit numbers");
         }
-        (Self { bytes: bytes.into(), window_starts: window_starts.into() }, vertices)
+        if !are_some_flat || vertices.normals.is_empty() {
+            flat = Vec::new();
+        }
+        (Self { bytes: bytes.into(), window_starts: window_starts.into(), flat: flat.into() }, kept)
     }
 
     /// The vertices of a triangle.
@@ -98,6 +130,26 @@ impl Corners {
         vertices
     }
 
+    /// Replaces the bits of normals where triangles are flat, one triangle per lane. Lanes from [`Simd::LANES`] on keep theirs.
+    #[inline(always)]
+    pub(super) fn flatten<S: Simd>(&self, triangle_indices: &[u32; 16], normals: [&mut [u32]; 3]) {
+        if self.flat.is_empty() {
+            return;
+        }
+        let mut words = [0; 16];
+        for (word, triangle_idx) in words.iter_mut().zip(triangle_indices) {
+            *word = triangle_idx / TRIANGLES_PER_WORD as u32;
+        }
+        let mut bits = [0; 16];
+        S::gather_bits(&self.flat, &words).store_bits(&mut bits);
+        for normals in normals {
+            for ((normal, bits), triangle_idx) in normals[..S::LANES].iter_mut().zip(&bits).zip(triangle_indices) {
+                let is_flat = bits >> (triangle_idx % TRIANGLES_PER_WORD as u32) & 1 != 0;
+                *normal = if is_flat { Normal::OF_TRIANGLE_BITS } else { *normal };
+            }
+        }
+    }
+
     /// Hints that a triangle will be read soon.
     #[inline(always)]
     pub(super) fn prefetch<S: Simd>(&self, triangle_idx: u32) {
@@ -106,18 +158,21 @@ impl Corners {
     }
 
     pub(super) fn n_bytes(&self) -> usize {
-        size_of_val(&*self.bytes) + size_of_val(&*self.window_starts)
+        size_of_val(&*self.bytes) + size_of_val(&*self.window_starts) + size_of_val(&*self.flat)
     }
 
     pub(super) fn visit_sections<'a>(&'a mut self, visitor: &mut impl SectionVisitor<'a>) -> Result<(), Fault> {
         visitor.visit("corners", &mut self.bytes)?;
-        visitor.visit("windows", &mut self.window_starts)
+        visitor.visit("windows", &mut self.window_starts)?;
+        visitor.visit("flat triangles", &mut self.flat)
     }
 
     /// Checks that so many triangles have corners.
     pub(super) fn check_sizes(&self, n_triangles: usize) -> Result<(), Damage> {
         expect(self.bytes.len() == 3 * n_triangles + PADDING, "corners")?;
-        expect(self.window_starts.len() == n_triangles.div_ceil(TRIANGLES_PER_WINDOW), "windows")
+        expect(self.window_starts.len() == n_triangles.div_ceil(TRIANGLES_PER_WINDOW), "windows")?;
+        let n_words = n_triangles.div_ceil(TRIANGLES_PER_WORD);
+        expect(self.flat.is_empty() || self.flat.len() == n_words, "flat triangles")
     }
 
     /// Checks that all corners are among so many vertices.
@@ -132,57 +187,25 @@ impl Corners {
     }
 }
 
-/// Vertices that were named lately, in the slots of their hashes.
-struct RecentVertices([Recent; Self::N_SLOTS]);
-
-#[derive(Clone, Copy, Zeroable)]
-#[repr(C)]
-struct Recent {
-    vertex: u32,
-    /// One more than its number; 0 for none.
-    count: u32,
-}
-
-impl RecentVertices {
-    /// Few of a window's vertices share one of so many slots.
-    const N_SLOTS: usize = 1 << Self::HASH_BITS;
-    const HASH_BITS: u32 = 12;
-
-    /// Fibonacci hashing (Knuth, "The Art of Computer Programming", volume 3, 6.4).
-    #[inline]
-    fn slot(&mut self, vertex: u32) -> &mut Recent {
-        &mut self.0[(vertex.wrapping_mul(0x9e37_79b9) >> (32 - Self::HASH_BITS)) as usize]
-    }
-}
-
-/// Numbers the vertices of some triangles from 0 on; returns them in the order of these numbers.
-fn number_vertices(order: &[u32], triangles: &[[u32; 3]], bytes: &mut [u8], window_starts: &mut [u32]) -> Vec<u32> {
-    let mut recent = RecentVertices([Recent::zeroed(); RecentVertices::N_SLOTS]);
-    let mut vertices = Vec::with_capacity(order.len());
-    for ((in_window, bytes), window_start) in
-        order.chunks(TRIANGLES_PER_WINDOW).zip(bytes.chunks_mut(CORNERS_PER_WINDOW)).zip(window_starts)
-    {
-        // A window has room for as many new vertices as its triangles can have.
-        let start = vertices.len().saturating_sub(VERTICES_PER_WINDOW - CORNERS_PER_WINDOW);
-        for (byte, vertex) in bytes.iter_mut().zip(in_window.iter().flat_map(|&triangle| triangles[triangle as usize]))
-        {
-            let slot = recent.slot(vertex);
-            let is_in_window = slot.vertex == vertex && slot.count as usize > start;
-            if !is_in_window {
-                vertices.push(vertex);
-                *slot = Recent { vertex, count: vertices.len() as u32 };
-            }
-            *byte = (slot.count as usize - 1 - start) as u8;
-        }
-        *window_start = start as u32;
-    }
-    vertices.shrink_to_fit();
-    vertices
+/// Whether enough triangles are flat for their bits to pay: a frame of a scan without them takes 1 % less time.
+fn are_some_flat(order: &[u32], triangles: &[[u32; 3]], vertices: &Vertices) -> bool {
+    let sample = || order.iter().step_by(SAMPLED_TRIANGLES).map(|&triangle| triangles[triangle as usize]);
+    let n_flat = sample().filter(|&triangle| vertices.are_flat(triangle)).count();
+    n_flat > sample().count() / 64
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Vertices in places of their own.
+    fn places(n_vertices: u32) -> Vec<[f32; 3]> {
+        (0..n_vertices).map(|n| [n as f32, 1.0, 2.0]).collect()
+    }
+
+    fn without_normals(positions: &[[f32; 3]]) -> Vertices<'_> {
+        Vertices { positions, normals: &[], colors: &[], coordinates: &[] }
+    }
 
     /// The vertices that corners name, by their number as loaded.
     fn named(corners: &Corners, vertices: &[Vec<u32>], n_triangles: usize) -> Vec<[u32; 3]> {
@@ -193,6 +216,7 @@ mod tests {
     #[test]
     fn corners_name_the_same_vertices_as_the_triangles_whatever_their_order() {
         let n_triangles = 2 * TRIANGLES_PER_PART as u32 + 7;
+        let positions = places(n_triangles + 2);
         // A strip, whose vertices are near; triangles with far vertices; and both in turns.
         let strip = |n: u32| [n, n + 1, n + 2];
         let far = |n: u32| [n, n.wrapping_mul(2_654_435_761) % n_triangles, (n * 31) % n_triangles];
@@ -202,7 +226,7 @@ mod tests {
             let forward: Vec<u32> = (0..n_triangles).collect();
             let scattered: Vec<u32> = (0..n_triangles).map(|n| n.wrapping_mul(40_503) % n_triangles).collect();
             for order in [forward, scattered] {
-                let (corners, vertices) = Corners::new(&order, &triangles);
+                let (corners, vertices) = Corners::new(&order, &triangles, &without_normals(&positions));
                 let in_order: Vec<_> = order.iter().map(|&triangle| triangles[triangle as usize]).collect();
                 assert!(named(&corners, &vertices, order.len()) == in_order);
                 let n_vertices = vertices.iter().map(Vec::len).sum();
@@ -217,13 +241,13 @@ mod tests {
     fn neighbours_share_vertices() {
         let strip: Vec<_> = (0..1000).map(|n| [n, n + 1, n + 2]).collect();
         let order: Vec<u32> = (0..1000).collect();
-        let (_, vertices) = Corners::new(&order, &strip);
+        let (_, vertices) = Corners::new(&order, &strip, &without_normals(&places(1002)));
         assert_eq!(vertices, [(0..1002).collect::<Vec<u32>>()]);
     }
 
     #[test]
     fn no_triangles_have_no_corners() {
-        let (corners, vertices) = Corners::new(&[], &[]);
+        let (corners, vertices) = Corners::new(&[], &[], &without_normals(&[]));
         assert!(vertices.is_empty());
         corners.check_sizes(0).unwrap();
         corners.check_contents(0).unwrap();

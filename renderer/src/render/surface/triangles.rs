@@ -43,12 +43,16 @@ impl TriangleLanes {
             let [a, b, c] = &vertices;
             // SAFETY: all vertices of triangles exist.
             let positions = unsafe { mesh.gather_vertices::<S>([a, b, c]) };
+            if let Some([of_a, of_b, of_c]) = &mut normals {
+                mesh.gather_normals::<S>(
+                    &next,
+                    &vertices,
+                    [&mut of_a[first..], &mut of_b[first..], &mut of_c[first..]],
+                );
+            }
             for corner in 0..3 {
                 for (position, lanes) in positions[corner].iter().zip(&mut lanes.corners[corner]) {
                     position.store(&mut lanes[first..]);
-                }
-                if let Some(normals) = &mut normals {
-                    mesh.gather_normals::<S>(&vertices[corner], &mut normals[corner][first..]);
                 }
                 if let Some(colors) = &mut lanes.colors {
                     mesh.gather_colors::<S>(&vertices[corner], &mut colors[corner], first);
