@@ -102,6 +102,7 @@ impl Grid {
 
     fn storage(&self) -> Storage {
         match self.structure {
+            Structure::Tree(Tree { is_compact: true, .. }) => Storage::Compact,
             Structure::Tree(_) => Storage::Tree,
             Structure::Plain(_) => Storage::Plain,
             Structure::RowDisplacement(_) => Storage::RowDisplacement,

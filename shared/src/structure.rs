@@ -29,10 +29,20 @@ pub enum Storage {
     Plain,
     /// The uniform grid with compressed offsets, after Lagae and Dutré (2008).
     RowDisplacement,
-    /// A tree of bit masks, subdivided where there are many triangles. The only storage that packets traverse.
+    /// A tree of bit masks, subdivided where there are many triangles.
     #[default]
     #[strum(serialize = "masks")]
     Tree,
+    /// The same with only what packets need, in larger leaves: the least memory. Rays that go alone take twice as long.
+    Compact,
+}
+
+impl Storage {
+    /// Whether it is a tree, which packets can traverse and scene files hold.
+    #[must_use]
+    pub fn is_tree(self) -> bool {
+        matches!(self, Self::Tree | Self::Compact)
+    }
 }
 
 /// A grid's storage and density.

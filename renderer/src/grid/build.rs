@@ -28,8 +28,15 @@ const TREE_BYTES_PER_REFERENCE: u64 = TracedMesh::BYTES_PER_TRIANGLE + 1;
 /// Bytes of its box, with its part of groups and the hierarchy; they are made after the loaded mesh is dropped.
 const BOX_BYTES_PER_REFERENCE: u64 = 4;
 
+/// The same without its own box, in a compact tree.
+const GROUP_BYTES_PER_REFERENCE: u64 = 1;
+
 /// Bytes of the program before it has a scene.
 pub(crate) const PROGRAM_BYTES: u64 = 40_000_000;
+
+fn box_bytes_per_reference(storage: Storage) -> u64 {
+    if storage == Storage::Compact { GROUP_BYTES_PER_REFERENCE } else { BOX_BYTES_PER_REFERENCE }
+}
 
 impl Grid {
     /// Builds the grid of a mesh, and orders the mesh by it.
@@ -60,15 +67,16 @@ impl Grid {
         let most_bytes = options.memory_budget.remaining_beside(mesh_bytes);
         let loaded_bytes = mesh.n_bytes() as u64;
         // Each cell has a part of the references that the budget allows, so their sum must have room.
-        let references = (options.storage == Storage::Tree).then(|| choice::references(&mesh, density)).flatten();
+        let storage = options.storage;
+        let references = storage.is_tree().then(|| choice::references(&mesh, storage, density)).flatten();
         let enough_bytes = references.map(|n| 2 * n).map(|n| {
-            let in_order = mesh_bytes_in_order + n * (TREE_BYTES_PER_REFERENCE + BOX_BYTES_PER_REFERENCE);
+            let in_order = mesh_bytes_in_order + n * (TREE_BYTES_PER_REFERENCE + box_bytes_per_reference(storage));
             in_order.max(mesh_bytes + n * TREE_BYTES_PER_REFERENCE)
         });
-        let (grid, is_coarser) = match options.storage {
-            Storage::Tree => {
+        let (grid, is_coarser) = match storage {
+            Storage::Tree | Storage::Compact => {
                 let most_bytes_in_order = options.memory_budget.remaining_beside(mesh_bytes_in_order);
-                Self::tree(mesh, &bounds, density, [most_bytes, most_bytes_in_order], progress)
+                Self::tree(mesh, &bounds, storage, density, [most_bytes, most_bytes_in_order], progress)
             }
             Storage::Plain | Storage::RowDisplacement => {
                 let n_bytes = TracedMesh::BYTES_PER_TRIANGLE * mesh.triangles.len() as u64;
@@ -93,6 +101,7 @@ impl Grid {
     fn tree(
         mesh: Mesh,
         bounds: &Aabb,
+        storage: Storage,
         density: f64,
         [most_bytes, most_bytes_in_order]: [u64; 2],
         progress: &(dyn Fn(f32) + Sync),
@@ -132,12 +141,13 @@ impl Grid {
         // Limit the references: small scenes can afford more a triangle, and large triangles need them.
         let wanted_references = ((1 << 24) / n_triangles as u64).clamp(6, 64) * references.len() as u64;
         let affordable_references = (most_bytes / TREE_BYTES_PER_REFERENCE)
-            .min(most_bytes_in_order / (TREE_BYTES_PER_REFERENCE + BOX_BYTES_PER_REFERENCE))
+            .min(most_bytes_in_order / (TREE_BYTES_PER_REFERENCE + box_bytes_per_reference(storage)))
             .min(u64::from(u32::MAX));
 
         // Divide the bricks into a tree.
         let builder = Builder {
             scatter,
+            leaf_size: choice::leaf_size(storage),
             n_in_bricks: references.len() as u64,
             most_references: wanted_references.min(affordable_references),
             is_memory_limited: affordable_references < wanted_references,
@@ -152,7 +162,8 @@ impl Grid {
         let (items, order) = Items::new(references, mesh.triangles.len());
         let mesh = TracedMesh::new(mesh, order);
         let leaf_cubes = leaf_cubes(dims, &bricks, &nodes, leaf_starts.len() - 1);
-        let boxes = QuantizedBoxes::new(&space, &leaf_cubes, &leaf_starts, &items, &mesh);
+        let is_compact = storage == Storage::Compact;
+        let boxes = QuantizedBoxes::new(&space, &leaf_cubes, &leaf_starts, &items, &mesh, is_compact);
         let extent = space.point_to_cells(max).to_array();
         let extent = [0, 1, 2].map(|axis| (extent[axis] as u32 + 1).min(dims[axis] * BRICK_SIZE));
         let hierarchy = Hierarchy::default();
@@ -163,13 +174,15 @@ impl Grid {
             nodes: nodes.into(),
             leaf_starts: leaf_starts.into(),
             items,
+            is_compact,
             boxes,
             leaf_cubes: leaf_cubes.into(),
             hierarchy,
         };
         let n_bytes_left = most_bytes_in_order.saturating_sub(tree.figures().n_bytes() as u64);
         let n_items = tree.n_items();
-        let is_over_triangles = |n_bytes_left| Hierarchy::is_over_triangles(mesh.n_triangles(), n_items, n_bytes_left);
+        let is_over_triangles =
+            |n_bytes_left| !is_compact && Hierarchy::is_over_triangles(mesh.n_triangles(), n_items, n_bytes_left);
         let is_limited = is_over_triangles(u64::MAX) && !is_over_triangles(n_bytes_left);
         tree.hierarchy = if is_over_triangles(n_bytes_left) {
             Tree::hierarchy_over_triangles(&space, &mesh)

@@ -1,6 +1,6 @@
 //! Chooses the density of a scene's tree: that of the fewest references, which is the fastest and nearly the smallest.
 //!
-//! The tree divides cells into 4×4×4 until each holds at most [`LEAF_SIZE`] triangles, so densities 64 times apart give
+//! The tree divides cells into 4×4×4 until each holds at most [`leaf_size`] triangles, so densities 64 times apart give
 //! the same leaves. In between, leaves of an even scan hold 8 to 512 triangles; the smaller they are, the more leaves
 //! list the same triangle. The model predicts these references:
 //!
@@ -21,7 +21,10 @@ use glam::{DVec3, Vec3};
 use crate::{
     grid::{
         GridOptions, Storage,
-        tree::{CELLS_PER_BRICK, LEVELS, divide::LEAF_SIZE},
+        tree::{
+            CELLS_PER_BRICK, LEVELS,
+            divide::{COMPACT_LEAF_SIZE, LEAF_SIZE},
+        },
         uniform::resolution::resolution,
     },
     model::mesh::Mesh,
@@ -52,14 +55,21 @@ const TRANSITION_WIDTH: f64 = 0.2 / 1.7;
 /// The density of a mesh's grid: that of the options, the paper's in the paper's grid, or the best for the scene.
 pub(crate) fn density(mesh: &Mesh, options: &GridOptions) -> f64 {
     match options.storage {
-        Storage::Tree => options.density.unwrap_or_else(|| Survey::new(mesh).best_density()),
+        Storage::Tree | Storage::Compact => {
+            options.density.unwrap_or_else(|| Survey::new(mesh, leaf_size(options.storage)).best_density())
+        }
         Storage::Plain | Storage::RowDisplacement => options.density.unwrap_or(GridOptions::PAPER_DENSITY),
     }
 }
 
+/// Most triangles of a cell that a tree does not divide.
+pub(crate) fn leaf_size(storage: Storage) -> usize {
+    if storage == Storage::Compact { COMPACT_LEAF_SIZE } else { LEAF_SIZE }
+}
+
 /// Predicts the references of a mesh's tree; `None` where the model does not hold.
-pub(crate) fn references(mesh: &Mesh, density: f64) -> Option<u64> {
-    let survey = Survey::new(mesh);
+pub(crate) fn references(mesh: &Mesh, storage: Storage, density: f64) -> Option<u64> {
+    let survey = Survey::new(mesh, leaf_size(storage));
     survey.is_even().then(|| (survey.references_per_triangle(density) * survey.n_triangles as f64) as u64)
 }
 
@@ -72,18 +82,19 @@ struct Run {
 /// Measurements of a mesh before its grid is built.
 struct Survey {
     n_triangles: usize,
+    leaf_size: usize,
     extent: DVec3,
     runs: Vec<Run>,
 }
 
 impl Survey {
-    fn new(mesh: &Mesh) -> Self {
+    fn new(mesh: &Mesh, leaf_size: usize) -> Self {
         let [min, max] = mesh.bounds().corners();
         let n_runs = mesh.triangles.len().div_ceil(TRIANGLES_PER_RUN).min(MOST_RUNS);
         let first_triangle_of =
             |run: usize| run * mesh.triangles.len().saturating_sub(TRIANGLES_PER_RUN) / n_runs.max(2).saturating_sub(1);
         let runs = (0..n_runs).filter_map(|run| Run::of(mesh, first_triangle_of(run))).collect();
-        Self { n_triangles: mesh.triangles.len() - mesh.n_rejected, extent: max - min, runs }
+        Self { n_triangles: mesh.triangles.len() - mesh.n_rejected, leaf_size, extent: max - min, runs }
     }
 
     /// The density of the fewest references, or a fixed one where the model does not fit the scene.
@@ -106,7 +117,7 @@ impl Survey {
     /// Predicts the leaves of a tree that list a triangle.
     fn references_per_triangle(&self, density: f64) -> f64 {
         let (_, cell_size) = resolution(self.extent, self.n_triangles, density);
-        self.runs.iter().map(|run| run.references_in_tree(cell_size) / self.runs.len() as f64).sum()
+        self.runs.iter().map(|run| run.references_in_tree(cell_size, self.leaf_size) / self.runs.len() as f64).sum()
     }
 }
 
@@ -138,7 +149,7 @@ impl Run {
     }
 
     /// Leaves of a tree over cells of a side that list a triangle: (3) of the model.
-    fn references_in_tree(&self, cell_size: f64) -> f64 {
+    fn references_in_tree(&self, cell_size: f64, leaf_size: usize) -> f64 {
         let (mut references, mut divided) = (0.0, 1.0);
         let mut side = cell_size * f64::from(CELLS_PER_BRICK);
         for level in 0..=LEVELS {
@@ -148,7 +159,7 @@ impl Run {
             // The tree stops dividing where triangles are larger than cells.
             let is_last = level == LEVELS || below >= 8.0 * here;
             let part =
-                if is_last { 1.0 } else { 1.0 / (1.0 + (triangles / LEAF_SIZE as f64).powf(1.0 / TRANSITION_WIDTH)) };
+                if is_last { 1.0 } else { 1.0 / (1.0 + (triangles / leaf_size as f64).powf(1.0 / TRANSITION_WIDTH)) };
             references += divided * part * here;
             divided -= divided * part;
         }
@@ -171,7 +182,7 @@ mod tests {
         for density in DENSITIES {
             let grid = built(&mesh, Some(density));
             let references = grid.figures().references as f64 / grid.mesh().n_triangles() as f64;
-            let predicted = Survey::new(&mesh).references_per_triangle(density);
+            let predicted = Survey::new(&mesh, LEAF_SIZE).references_per_triangle(density);
             assert!((predicted / references - 1.0).abs() < 0.1, "{references}, {predicted}");
         }
     }
@@ -184,8 +195,8 @@ mod tests {
             let fewest = DENSITIES.map(|density| built(&mesh, Some(density)).figures().references).into_iter().min();
             let (ours, fewest) = (chosen.figures().references as f64, fewest.unwrap() as f64);
             assert!(ours <= 1.05 * fewest, "{n_triangles}: {ours} and {fewest}");
-            assert_eq!(chosen.figures().density, Survey::new(&mesh).best_density());
-            assert!(Survey::new(&mesh).is_even());
+            assert_eq!(chosen.figures().density, Survey::new(&mesh, LEAF_SIZE).best_density());
+            assert!(Survey::new(&mesh, LEAF_SIZE).is_even());
         }
     }
 
@@ -196,7 +207,7 @@ mod tests {
         mesh.vertices.extend(hall.vertices.iter().map(|vertex| vertex.map(|x| 300.0 * x)));
         mesh.triangles.extend(hall.triangles.iter().map(|corners| corners.map(|corner| corner + first)));
         assert_eq!(density(&mesh, &GridOptions::default()), UNEVEN_DENSITY);
-        assert!(!Survey::new(&mesh).is_even());
+        assert!(!Survey::new(&mesh, LEAF_SIZE).is_even());
     }
 
     #[test]

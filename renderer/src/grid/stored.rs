@@ -13,7 +13,7 @@ use crate::{
 };
 
 impl Grid {
-    /// Whether a file can hold this grid: it holds the default storage. The others serve to compare.
+    /// Whether a file can hold this grid: it holds trees. The others serve to compare.
     pub(crate) fn is_storable(&self) -> bool {
         matches!(self.structure, Structure::Tree(_))
     }

@@ -74,8 +74,9 @@ fn build(mesh: &Mesh) -> Grid {
 
 /// A grid in every mode, the default first.
 fn build_modes(mesh: &Mesh) -> Vec<Grid> {
-    let storages = [Storage::Tree, Storage::Plain, Storage::RowDisplacement].into_iter();
-    let modes = storages.flat_map(|storage| [(storage, 3), (storage, 0)]);
+    let uniform = [Storage::Plain, Storage::RowDisplacement].into_iter();
+    let modes = [(Storage::Tree, 3), (Storage::Compact, 3)].into_iter();
+    let modes = modes.chain(uniform.flat_map(|storage| [(storage, 3), (storage, 0)]));
     modes
         .map(|(storage, macrocell_levels)| {
             let options = GridOptions { storage, macrocell_levels, ..GridOptions::default() };
@@ -329,8 +330,7 @@ fn a_grid_stays_within_its_memory_and_hits_the_same() {
     let packet = packets::raster(high + (high - low) * 0.3, (low + high) * 0.5, (high - low).length() / 40.0, u64::MAX);
     for &storage in Storage::VARIANTS {
         // The tree never has much more than one reference a triangle.
-        let all_left =
-            if storage == Storage::Tree { [300_000, 310_000, 320_000] } else { [300_000, 600_000, 1_000_000] };
+        let all_left = if storage.is_tree() { [300_000, 310_000, 320_000] } else { [300_000, 600_000, 1_000_000] };
         for left in all_left {
             let memory_budget = (mesh_bytes + left).to_string().parse().unwrap();
             let options = GridOptions { storage, memory_budget, ..GridOptions::default() };

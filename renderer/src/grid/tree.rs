@@ -56,6 +56,8 @@ pub(crate) struct Tree {
     #[serde(skip)]
     pub(crate) leaf_starts: Section<u32>,
     pub(crate) items: Items,
+    /// Whether single triangles have no boxes and are in no hierarchy.
+    pub(crate) is_compact: bool,
     pub(crate) boxes: QuantizedBoxes,
     /// The cube of each leaf.
     #[serde(skip)]
@@ -90,6 +92,7 @@ impl Tree {
             nodes: Section::default(),
             leaf_starts: vec![0].into(),
             items: Items::new(Vec::new(), 0).0,
+            is_compact: false,
             boxes: QuantizedBoxes::default(),
             leaf_cubes: Section::default(),
             hierarchy: Hierarchy::default(),

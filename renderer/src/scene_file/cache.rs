@@ -112,7 +112,7 @@ impl Cache {
     /// The path of the scene of a model with these options.
     pub(crate) fn path(&self, model: &Path, treatment: Treatment, options: &GridOptions) -> PathBuf {
         // The budget is part of the scene; levels of macrocells lie over other storages alone.
-        let options = hash(&codec::to_bytes(&options.density));
+        let options = hash(&codec::to_bytes(&(options.storage, options.density)));
         self.folder.join(format!("{}-{options}.{ENDING}", name(model, treatment)))
     }
 

@@ -102,7 +102,7 @@ fn write_arrays(
     progress: &(dyn Fn(f32) + Sync),
 ) -> io::Result<Hash> {
     if !scene.grids().all(Grid::is_storable) {
-        return Err(io::Error::other("scene files hold the default storage alone: leave --storage out"));
+        return Err(io::Error::other("scene files hold trees alone: leave --storage out, or make it compact"));
     }
     let (builder, info, sources) = (BUILDER.to_owned(), info.clone(), sources.cloned());
     let stand_ins = scene.stand_ins.iter().map(|coarse| (coarse.side, &coarse.scene.grid)).collect();

@@ -142,7 +142,8 @@ impl SceneStore {
             return open((Some(path), file));
         }
         let cache = self.cache()?;
-        let options = GridOptions { storage: Storage::Tree, ..*options };
+        let storage = if options.storage.is_tree() { options.storage } else { Storage::Tree };
+        let options = GridOptions { storage, ..*options };
         let made = self.load_cached(cache, model, treatment, &options, Keep::Always, report);
         made.map_err(|error| error.to_string())?.finish();
         let file = self.cached(model, treatment);
@@ -190,7 +191,7 @@ impl SceneStore {
                 let scene = self.take(open_named(path, treatment)?, path, None, &progress);
                 return Ok(scene.map_err(|fault| error_of(path, fault))?);
             }
-            if let Some(cache) = self.cache.as_ref().filter(|_| options.storage == Storage::Tree) {
+            if let Some(cache) = self.cache.as_ref().filter(|_| options.storage.is_tree()) {
                 return self.load_cached(cache, path, treatment, options, Keep::IfWorthwhile, report);
             }
         }
@@ -375,8 +376,7 @@ fn build(
     report: Report<'_>,
 ) -> Result<Built, LoadError> {
     // The paper's grids have as many cells as the budget allows.
-    let is_tree = options.storage == Storage::Tree;
-    let spill = is_tree.then(|| spill(source, options.memory_budget, temporary)).flatten();
+    let spill = options.storage.is_tree().then(|| spill(source, options.memory_budget, temporary)).flatten();
     let budget = if spill.is_some() { *MemoryBudget::RANGE.end() } else { options.memory_budget };
     let options = GridOptions { memory_budget: budget, ..*options };
     let loaded = scene::load(source, treatment, &|done| report(Stage::Loading, 0.5 * done))?;

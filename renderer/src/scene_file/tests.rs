@@ -127,7 +127,9 @@ fn stand_ins_come_back_from_a_file_and_wrong_ones_are_refused() {
 fn other_storages_have_no_files() {
     let options = GridOptions { storage: Storage::Plain, ..GridOptions::default() };
     let (info, mut scene) = scene_of(statue::generate(2000, &|_| ()), &options);
-    assert!(file::to_bytes(&mut scene, &info).unwrap_err().to_string().ends_with("leave --storage out"));
+    assert!(
+        file::to_bytes(&mut scene, &info).unwrap_err().to_string().ends_with("leave --storage out, or make it compact")
+    );
 }
 
 /// Follows rays of every kind through a scene.

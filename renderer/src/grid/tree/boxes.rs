@@ -45,7 +45,7 @@ pub(crate) const GROUP: usize = 16;
 pub(crate) struct QuantizedBoxes {
     /// A leaf's groups follow each other. A group of n items from number r on has 3·n bytes from index 3·r on, a row of n for
     /// each axis. The lower half of a byte counts steps up from the group's least side, the upper half steps down from its
-    /// greatest.
+    /// greatest. Empty in a compact tree: a triangle's box is its group's.
     #[serde(skip)]
     bytes: Section<u8>,
     /// Bounds of each group. A leaf with n groups has 6·n bytes from index 6·[`first_group`] on; every 16 groups, the last of
@@ -53,6 +53,9 @@ pub(crate) struct QuantizedBoxes {
     #[serde(skip)]
     group_bytes: Section<u8>,
 }
+
+/// Boxes of triangles that are as large as their group.
+static AS_LARGE_AS_GROUPS: [u8; 3 * GROUP + PADDING] = [0; 3 * GROUP + PADDING];
 
 /// Index of a leaf's first group, if its items begin at `start`. No leaf has more groups than lie before the next's.
 #[inline(always)]
@@ -172,13 +175,14 @@ impl LeafCube {
 }
 
 impl QuantizedBoxes {
-    /// Measures the triangles of a finished tree, in parallel.
+    /// Measures the triangles of a finished tree, in parallel, or only their groups if it is compact.
     pub(crate) fn new(
         space: &CellSpace,
         leaf_cubes: &[LeafCube],
         leaf_starts: &[u32],
         items: &Items,
         mesh: &TracedMesh,
+        is_compact: bool,
     ) -> Self {
         const LEAVES_PER_JOB: usize = 1024;
         // Divide the leaves, and the bytes of their boxes, into jobs.
@@ -207,7 +211,16 @@ impl QuantizedBoxes {
                 measure(space, leaf_cubes[leaf], mesh, of_leaf.map(|item| items.triangle(item)), chunk, groups);
             }
         });
+        if is_compact {
+            bytes = Vec::new();
+        }
         Self { bytes: bytes.into(), group_bytes: group_bytes.into() }
+    }
+
+    /// Whether only groups have boxes.
+    #[inline(always)]
+    pub(crate) fn are_of_groups(&self) -> bool {
+        self.bytes.is_empty()
     }
 
     pub(crate) fn n_bytes(&self) -> usize {
@@ -219,10 +232,10 @@ impl QuantizedBoxes {
         visitor.visit("group boxes", &mut self.group_bytes)
     }
 
-    /// Whether these are the boxes of so many leaves and items.
-    pub(super) fn are_as_many_as(&self, n_leaves: usize, n_items: usize) -> bool {
-        self.bytes.len() == 3 * n_items + PADDING
-            && self.group_bytes.len() == 6 * first_group(n_leaves as u32, n_items) + PADDING
+    /// Whether these are the boxes of so many leaves and items, or in a compact tree of groups of them.
+    pub(super) fn are_as_many_as(&self, n_leaves: usize, n_items: usize, is_compact: bool) -> bool {
+        let n_bytes = if is_compact { 0 } else { 3 * n_items + PADDING };
+        self.bytes.len() == n_bytes && self.group_bytes.len() == 6 * first_group(n_leaves as u32, n_items) + PADDING
     }
 
     /// Bounds of a leaf's triangles within its cube, in finest cells.
@@ -251,6 +264,9 @@ impl QuantizedBoxes {
     /// Hints that the boxes of these items will be read soon.
     #[inline(always)]
     pub(crate) fn prefetch<S: Simd>(&self, items: Range<usize>) {
+        if self.are_of_groups() {
+            return;
+        }
         let mut at = 3 * items.start;
         while at < 3 * items.end {
             S::prefetch(&self.bytes, at);
@@ -261,6 +277,9 @@ impl QuantizedBoxes {
     /// Hints that the boxes of a group from this item on will be read soon.
     #[inline(always)]
     pub(crate) fn prefetch_group<S: Simd>(&self, first: usize) {
+        if self.are_of_groups() {
+            return;
+        }
         S::prefetch(&self.bytes, 3 * first);
         S::prefetch(&self.bytes, 3 * (first + GROUP) - 1);
     }
@@ -268,6 +287,9 @@ impl QuantizedBoxes {
     /// The boxes of a group of `n` items from `first` on.
     #[inline(always)]
     pub(crate) fn group(&self, first: usize, n: usize) -> GroupBoxes<'_> {
+        if self.are_of_groups() {
+            return GroupBoxes { bytes: &AS_LARGE_AS_GROUPS[..3 * n + PADDING], n };
+        }
         GroupBoxes { bytes: &self.bytes[3 * first..3 * (first + n) + PADDING], n }
     }
 

@@ -22,8 +22,13 @@ const REFERENCES_PER_JOB: usize = 1 << 15;
 /// million triangles takes a byte a triangle less, and a frame a tenth longer.
 pub(crate) const LEAF_SIZE: usize = 512;
 
+/// The same for a compact tree, in which fewer triangles lie in several leaves.
+pub(crate) const COMPACT_LEAF_SIZE: usize = 4096;
+
 pub(crate) struct Builder<'a> {
     pub(crate) scatter: Scatter<'a>,
+    /// Most triangles of a cell that is not divided.
+    pub(crate) leaf_size: usize,
     /// References of all bricks before they are divided.
     pub(crate) n_in_bricks: u64,
     pub(crate) most_references: u64,
@@ -145,7 +150,7 @@ impl Builder<'_> {
 
     /// Distributes a cell's triangles among its children, if that pays.
     fn plan(&self, references: &[u32], cell: &BuildCell) -> Option<ChildLists> {
-        if references.len() <= LEAF_SIZE || cell.level == LEVELS {
+        if references.len() <= self.leaf_size || cell.level == LEVELS {
             return None;
         }
 

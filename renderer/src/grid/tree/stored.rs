@@ -45,7 +45,7 @@ impl Tree {
         expect(first == 0 && n_leaves <= Self::LEAF as usize, "leaves")?;
         self.items.check_sizes(end, n_triangles)?;
         expect(self.leaf_cubes.len() == n_leaves, "cubes")?;
-        expect(self.boxes.are_as_many_as(n_leaves, end), "boxes")
+        expect(self.boxes.are_as_many_as(n_leaves, end, self.is_compact), "boxes")
     }
 
     pub(in crate::grid) fn check_contents(&self, n_triangles: usize) -> Result<(), Damage> {

@@ -91,6 +91,7 @@ impl Settings {
         let mut variants: Vec<_> = densities.iter().map(packets).collect();
         let precisions = BITS.into_iter().flat_map(Precision::try_from);
         variants.extend(precisions.map(|precision| Variant { precision, ..exact(options) }));
+        variants.push(exact(GridOptions { storage: Storage::Compact, ..options }));
         let single = |options: GridOptions| Variant { is_single: true, ..exact(options) };
         variants.push(single(options));
         for storage in [Storage::RowDisplacement, Storage::Plain] {
@@ -229,6 +230,7 @@ fn plot(
         ("masks", "single") => "masks, single rays".to_owned(),
         ("masks", _) if row.largest_error > 0.0 => "masks, positions of fewer bits".to_owned(),
         ("masks", _) => "masks".to_owned(),
+        ("compact", _) => "compact".to_owned(),
         (storage, _) if row.macrocell_levels < 3 => format!("{storage}, fewer levels"),
         (storage, _) => format!("{storage}, {} levels", row.macrocell_levels),
     };
@@ -252,6 +254,7 @@ fn plot(
                     ("masks", "single") => COLORS[6],
                     ("masks", _) if row.largest_error > 0.0 => COLORS[1],
                     ("masks", _) => COLORS[3],
+                    ("compact", _) => COLORS[2],
                     ("plain", _) => COLORS[5],
                     _ => COLORS[0],
                 };
