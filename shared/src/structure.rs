@@ -33,7 +33,7 @@ pub enum Storage {
     #[default]
     #[strum(serialize = "masks")]
     Tree,
-    /// The same with only what packets need, in larger leaves: the least memory. Rays that go alone take twice as long.
+    /// The same with only what packets need, in larger leaves: the least memory. Rays that go alone take three times as long.
     Compact,
 }
 

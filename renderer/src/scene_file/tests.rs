@@ -90,6 +90,7 @@ fn a_scene_from_a_file_gives_the_same_bits() {
         (looks(), GridOptions::default()),
         (statue::generate(3000, &|_| ()), GridOptions { density: Some(0.5), ..GridOptions::default() }),
         (looks().snapped(14.try_into().unwrap()), GridOptions::default()),
+        (looks(), GridOptions { storage: Storage::Compact, ..GridOptions::default() }),
         // Its hierarchy lies over leaves.
         (statue::generate(60_000, &|_| ()), few),
     ] {

@@ -61,30 +61,16 @@ impl Corners {
         let mut window_starts = vec![0; order.len().div_ceil(TRIANGLES_PER_WINDOW)];
         let mut flat = vec![0; order.len().div_ceil(TRIANGLES_PER_WORD)];
         let are_some_flat = are_some_flat(order, triangles, vertices);
-        let parts = order
+        let kept: Vec<Vec<u32>> = order
             .par_chunks(TRIANGLES_PER_PART)
             .zip(bytes.par_chunks_mut(3 * TRIANGLES_PER_PART))
             .zip(window_starts.par_chunks_mut(TRIANGLES_PER_PART / TRIANGLES_PER_WINDOW))
-            .zip(flat.par_chunks_mut(TRIANGLES_PER_PART / TRIANGLES_PER_WORD));
-        let number = |(((order, bytes), window_starts), flat): (((&[u32], &mut [u8]), &mut [u32]), &mut [u32])| {
-            let mut numbering = Numbering::new(vertices, are_some_flat, order.len());
-            for (idx, (&triangle, bytes)) in order.iter().zip(bytes.as_chunks_mut().0).enumerate() {
-                if idx.is_multiple_of(TRIANGLES_PER_WINDOW) {
-                    // A window has room for as many new vertices as its triangles can have.
-                    let n_kept = numbering.kept().len();
-                    let start = n_kept.saturating_sub(VERTICES_PER_WINDOW - CORNERS_PER_WINDOW) as u32;
-                    numbering.begin_window(start);
-                    window_starts[idx / TRIANGLES_PER_WINDOW] = start;
-                }
-                let triangle = triangles[triangle as usize];
-                let is_flat = are_some_flat && vertices.are_flat(triangle);
-                flat[idx / TRIANGLES_PER_WORD] |= u32::from(is_flat) << (idx % TRIANGLES_PER_WORD);
-                let start = window_starts[idx / TRIANGLES_PER_WINDOW];
-                *bytes = triangle.map(|vertex| (numbering.number(vertex, is_flat) - start) as u8);
-            }
-            numbering.into_kept()
-        };
-        let kept: Vec<Vec<u32>> = parts.map(number).collect();
+            .zip(flat.par_chunks_mut(TRIANGLES_PER_PART / TRIANGLES_PER_WORD))
+            .map(|(((order, bytes), window_starts), flat)| {
+                let numbering = Numbering::new(vertices, are_some_flat, order.len());
+                number_part(numbering, order.iter().map(|&idx| triangles[idx as usize]), bytes, window_starts, flat)
+            })
+            .collect();
 
         // Windows of a part begin behind the vertices of those before it.
         let mut n_before = 0;
@@ -185,6 +171,29 @@ impl Corners {
         };
         expect(windows.all(exist), "corners")
     }
+}
+
+/// Numbers the vertices of some triangles from 0 on, and returns them in the order of these numbers.
+fn number_part(
+    mut numbering: Numbering,
+    triangles: impl Iterator<Item = [u32; 3]>,
+    bytes: &mut [u8],
+    window_starts: &mut [u32],
+    flat: &mut [u32],
+) -> Vec<u32> {
+    let mut start = 0;
+    for (idx, (triangle, bytes)) in triangles.zip(bytes.as_chunks_mut().0).enumerate() {
+        if idx.is_multiple_of(TRIANGLES_PER_WINDOW) {
+            // A window has room for as many new vertices as its triangles can have.
+            start = numbering.kept().len().saturating_sub(VERTICES_PER_WINDOW - CORNERS_PER_WINDOW) as u32;
+            numbering.begin_window(start);
+            window_starts[idx / TRIANGLES_PER_WINDOW] = start;
+        }
+        let is_flat = numbering.is_flat(triangle);
+        flat[idx / TRIANGLES_PER_WORD] |= u32::from(is_flat) << (idx % TRIANGLES_PER_WORD);
+        *bytes = triangle.map(|vertex| (numbering.number(vertex, is_flat) - start) as u8);
+    }
+    numbering.into_kept()
 }
 
 /// Whether enough triangles are flat for their bits to pay: a frame of a scan without them takes 1 % less time.

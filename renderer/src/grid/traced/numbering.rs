@@ -3,13 +3,12 @@
 //! Vertices that differ in nothing are one, and flat triangles take those of others whatever their normals are: along the rim
 //! of a round hole, its smooth side and the flat surface around it share one row of vertices.
 
-use bytemuck::Zeroable;
-
 use crate::model::normal::Normal;
 
-/// So many recent vertices are kept for each hash; the latest, where more have it.
+/// The latest vertices of each hash are remembered, so many of them.
 const WAYS: usize = 4;
 
+/// All that is remembered stays in a core's first cache.
 const HASH_BITS: u32 = 8;
 
 /// What a mesh as loaded has for its vertices; each is empty or has one for each.
@@ -64,26 +63,31 @@ pub(super) struct Numbering<'a> {
 }
 
 /// A vertex that was named lately.
-#[derive(Clone, Copy, Zeroable)]
-#[repr(C)]
+#[derive(Clone, Copy, Default)]
 struct Recent {
     vertex: u32,
     /// One more than its number; 0 for none.
     count: u32,
-    /// Not 0 while only flat triangles have named it, to which its normal is all the same.
-    is_of_flat: u32,
+    /// Whether only flat triangles have named it, to which its normal is all the same.
+    is_of_flat: bool,
 }
 
 impl<'a> Numbering<'a> {
-    /// Twins are merged, or each vertex of the mesh remains one, which takes half the time.
+    /// Twins are merged, or each vertex of the mesh remains one, which takes less time.
     pub(super) fn new(vertices: &'a Vertices<'a>, merges_twins: bool, n_triangles: usize) -> Self {
-        let recent = vec![[Recent::zeroed(); WAYS]; 1 << HASH_BITS];
+        let recent = vec![[Recent::default(); WAYS]; 1 << HASH_BITS];
         Self { vertices, merges_twins, kept: Vec::with_capacity(n_triangles), start: 0, recent }
     }
 
     /// Names no vertex before this number any more.
     pub(super) fn begin_window(&mut self, start: u32) {
         self.start = start;
+    }
+
+    /// Whether all corners of a triangle have its own normal, and twins are merged.
+    #[inline]
+    pub(super) fn is_flat(&self, triangle: [u32; 3]) -> bool {
+        self.merges_twins && self.vertices.are_flat(triangle)
     }
 
     /// The number of a vertex of a triangle, which may be flat.
@@ -93,25 +97,34 @@ impl<'a> Numbering<'a> {
         // Fibonacci hashing: Knuth, "The Art of Computer Programming", volume 3, 6.4.
         let hash = key.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (u64::BITS - HASH_BITS);
         let ways = &mut self.recent[hash as usize];
-        for recent in &mut *ways {
-            let is_near = recent.count > self.start;
-            let is_same = recent.vertex == vertex;
-            let is_twin = || self.merges_twins && self.vertices.are_twins(recent.vertex, vertex);
-            if !(is_near && (is_same || is_twin())) {
-                continue;
-            }
-            if !is_flat && recent.is_of_flat != 0 {
+
+        // The vertex itself. Its way is chosen without branches, which are hard to predict.
+        let mut way = WAYS;
+        for (n, recent) in ways.iter().enumerate() {
+            way = if recent.vertex == vertex && recent.count > self.start { n } else { way };
+        }
+        if let Some(recent) = ways.get_mut(way) {
+            recent.is_of_flat &= is_flat;
+            return recent.count - 1;
+        }
+
+        // A twin.
+        let is_near_twin =
+            |recent: &&mut Recent| recent.count > self.start && self.vertices.are_twins(recent.vertex, vertex);
+        for recent in ways.iter_mut().filter(|_| self.merges_twins).filter(is_near_twin) {
+            if !is_flat && recent.is_of_flat {
                 self.kept[recent.count as usize - 1] = vertex;
-                (recent.vertex, recent.is_of_flat) = (vertex, 0);
+                (recent.vertex, recent.is_of_flat) = (vertex, false);
             }
-            if is_flat || is_same || self.vertices.have_same_normal(recent.vertex, vertex) {
+            if is_flat || self.vertices.have_same_normal(recent.vertex, vertex) {
                 return recent.count - 1;
             }
         }
+
         self.kept.push(vertex);
         let count = self.kept.len() as u32;
         let oldest = ways.iter_mut().min_by_key(|recent| recent.count).expect("there are several ways");
-        *oldest = Recent { vertex, count, is_of_flat: is_flat.into() };
+        *oldest = Recent { vertex, count, is_of_flat: is_flat };
         count - 1
     }
 
