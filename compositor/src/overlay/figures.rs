@@ -14,9 +14,10 @@ use super::{
 };
 use crate::{control::input::Command, farm::stats::NodeStatus};
 
-/// Storages of the grid, in the order of the key; `None` is the one with which render servers were started.
-pub(crate) const STORAGES: [Option<Storage>; 5] =
-    [None, Some(Storage::Tree), Some(Storage::Compact), Some(Storage::RowDisplacement), Some(Storage::Plain)];
+/// Storages of the grid to compare, in the order of the key; `None` is the one with which render servers were started. The
+/// compact one is for those that lack memory.
+pub(crate) const STORAGES: [Option<Storage>; 4] =
+    [None, Some(Storage::Tree), Some(Storage::RowDisplacement), Some(Storage::Plain)];
 /// Rays that light the picture, in the order of the key; `None` leaves the choice to the wall.
 pub(crate) const RAYS: [Option<LightingMode>; 5] = [
     None,

@@ -22,7 +22,7 @@ use renderer::{
         say,
         stop::Task,
     },
-    grid::MemoryBudget,
+    grid::{MemoryBudget, Storage},
     model::statue,
 };
 use serde::Serialize;
@@ -66,6 +66,10 @@ pub struct LargeArgs {
     /// Build within so much memory, with temporary files for what takes more; without it, in memory alone
     #[arg(long, value_name = "BYTES")]
     memory_budget: Option<MemoryBudget>,
+
+    /// Storage of the grid: masks or compact
+    #[arg(long, value_name = "HOW", default_value_t = Storage::default())]
+    storage: Storage,
 
     /// Keep the files, and use a statue that is there in place of a new one
     #[arg(long)]
@@ -120,7 +124,7 @@ pub(crate) fn run(args: &LargeArgs) -> Result<()> {
     let mut rows = Vec::new();
     for &triangles in &args.triangles {
         let files = Files::new(&args.folder, triangles, args.keep)?;
-        rows.push(measure(&files, args.memory_budget, triangles)?);
+        rows.push(measure(&files, args, triangles)?);
         if !args.json {
             say(table(&rows))?;
         }
@@ -210,7 +214,7 @@ impl Drop for Files {
     }
 }
 
-fn measure(files: &Files, budget: Option<MemoryBudget>, triangles: u32) -> Result<Row> {
+fn measure(files: &Files, args: &LargeArgs, triangles: u32) -> Result<Row> {
     let task = |name: &str| Task::named(format!("{name} {}", counted(triangles, "triangle")));
     let n_bytes = |path: &Path| fs::metadata(path).map(|file| file.len());
     if !(files.is_kept && files.model.is_file()) {
@@ -221,9 +225,11 @@ fn measure(files: &Files, budget: Option<MemoryBudget>, triangles: u32) -> Resul
 
     let building = task("building");
     // The default budget follows what is free, and would decide about the grid.
-    let budget = budget.map_or_else(|| Need::of(triangles).memory.unwrap_or_default().to_string(), |it| it.to_string());
+    let budget = args.memory_budget.map(|budget| budget.to_string());
+    let budget = budget.unwrap_or_else(|| Need::of(triangles).memory.unwrap_or_default().to_string());
     let mut build = files.renderer()?;
-    let built = Watched::run(build.arg("build").args([&files.model, &files.scene]).args(["--memory-budget", &budget]))?;
+    build.arg("build").args([&files.model, &files.scene]).args(["--memory-budget", &budget]);
+    let built = Watched::run(build.args(["--storage", args.storage.into()]))?;
     drop(building);
 
     let _task = task("measuring");
