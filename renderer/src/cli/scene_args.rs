@@ -18,7 +18,7 @@ pub struct SceneArgs {
     density: Option<f64>,
 
     /// Storage of the grid: plain or row-displacement for the paper's uniform grid; masks for a tree that is finer where
-    /// triangles are dense; or compact for the same in the least memory, in which frames take up to 1.7 times as long
+    /// triangles are dense; or compact for the same in the least memory, in which frames take up to twice as long
     #[arg(long, help_heading = HEADING, value_name = "HOW", default_value_t = Storage::default())]
     storage: Storage,
 
