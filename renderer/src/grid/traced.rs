@@ -68,8 +68,11 @@ impl TracedMesh {
     /// Bytes that a mesh takes while it is ordered, as loaded and as traced, without triangles of the latter.
     pub(crate) fn peak_bytes(mesh: &Mesh) -> u64 {
         let geometry_bytes = (mesh.n_bytes() - mesh.materials.n_bytes()) as u64;
-        let numbers_bytes = size_of::<u32>() as u64 * vertices_in_order(mesh);
-        geometry_bytes + Self::vertex_bytes(mesh) + numbers_bytes + TracedMaterials::peak_bytes(&mesh.materials)
+        // Triangles are dropped before the vertices are ordered.
+        let triangle_bytes = size_of_val(&*mesh.triangles) as u64;
+        let geometry_bytes = geometry_bytes.max(geometry_bytes - triangle_bytes + Self::vertex_bytes(mesh));
+        let n_numbers = mesh.triangles.len() as u64 + vertices_in_order(mesh);
+        geometry_bytes + size_of::<u32>() as u64 * n_numbers + TracedMaterials::peak_bytes(&mesh.materials)
     }
 
     /// Bytes of an ordered mesh, without triangles.

@@ -342,6 +342,9 @@ pub fn build_file(
 ) -> anyhow::Result<(ModelInfo, u64)> {
     let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let Built { info, scene, budget, _spill, .. } = build(source, treatment, options, folder, report)?;
+    if let Some(shortage) = scene.grid.shortage() {
+        tracing::warn!("{source}: {shortage}");
+    }
     let new = file::begin(out)?;
     let progress = |done: f32| report(Stage::Writing, 0.9 + 0.1 * done);
     file::write_last(new.file(), scene, &info, (None, budget), &progress)?;
@@ -389,8 +392,9 @@ fn build(
 /// Begins a spill if building a model takes more memory than it may.
 fn spill(source: &SceneSource, budget: MemoryBudget, folder: &Path) -> Option<Spill> {
     let SceneSource::File(path) = source else { return None };
-    // A binary PLY file has 19 bytes a triangle, and building its scene takes twice as many and some more.
-    let peak_bytes = path.metadata().ok()?.len() / 10 * 22;
+    // A binary PLY file has 19 bytes a triangle, and building its scene takes twice as many and some more; with less, the grid
+    // would be coarser.
+    let peak_bytes = path.metadata().ok()?.len() / 10 * 24;
     if !budget.is_exceeded_by(peak_bytes) {
         return None;
     }
