@@ -11,7 +11,7 @@ const WAYS: usize = 4;
 /// All that is remembered stays in a core's first cache.
 const HASH_BITS: u32 = 8;
 
-/// What a mesh as loaded has for its vertices; each is empty or has one for each.
+/// The attributes of a loaded mesh's vertices. Each array is empty, or has an item for each vertex.
 pub(super) struct Vertices<'a> {
     pub(super) positions: &'a [[f32; 3]],
     pub(super) normals: &'a [Normal],
