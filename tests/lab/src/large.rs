@@ -34,7 +34,7 @@ use crate::{farm::renderer_program, statistics::median};
 
 /// Bytes of memory that building takes for each triangle, with some room: in scenes with a hierarchy over triangles, and in
 /// larger ones.
-const MEMORY_BYTES: [u64; 2] = [160, 40];
+const MEMORY_BYTES: [u64; 2] = [160, 48];
 
 /// Bytes of a binary PLY file for each triangle: half a vertex, and a face.
 const MODEL_BYTES: u64 = 19;
