@@ -299,20 +299,20 @@ mod tests {
     #[test]
     fn a_size_fits_where_memory_and_disk_are_free_or_unknown() {
         let need = Need::of(10_000_000);
-        assert_eq!((need.memory, need.disk), (Some(464_000_000), Some(614_000_000)));
+        assert_eq!((need.memory, need.disk), (Some(544_000_000), Some(614_000_000)));
         let free = |memory, disk| Need { memory, disk, triangles: 0 };
         for (free, fits) in [
-            (free(Some(464_000_000), Some(614_000_000)), true),
+            (free(Some(544_000_000), Some(614_000_000)), true),
             (free(None, None), true),
-            (free(Some(463_999_999), None), false),
+            (free(Some(543_999_999), None), false),
             (free(Some(u64::MAX), Some(613_999_999)), false),
         ] {
             assert_eq!(need.fits(&free), fits, "{free:?}");
         }
         let within = Need::within(Some("200M".parse().unwrap()), 10_000_000);
-        assert_eq!((within.memory, within.disk), (Some(200_000_000), Some(718_000_000)));
+        assert_eq!((within.memory, within.disk), (Some(200_000_000), Some(798_000_000)));
         let line = need.line(Path::new("there"), &free(Some(1_000_000), None));
-        let told = "464 MB of memory and 614 MB of disk in there; 1.0 MB and an unknown amount are free";
+        let told = "544 MB of memory and 614 MB of disk in there; 1.0 MB and an unknown amount are free";
         assert_eq!(line, format!("10000000 triangles need {told}"));
     }
 }
