@@ -7,7 +7,7 @@ mod frames;
 mod process;
 
 use std::{
-    fs,
+    fs, io,
     path::{Path, PathBuf},
     process::Command,
     time::Duration,
@@ -26,7 +26,10 @@ use renderer::{
     model::statue,
 };
 use serde::Serialize;
-use shared::printable::{bytes, counted};
+use shared::{
+    printable::{bytes, counted},
+    scene::Crease,
+};
 
 pub(crate) use self::frames::{MappedScenes, views};
 use self::{frames::FrameFigures, process::Watched};
@@ -71,6 +74,10 @@ pub struct LargeArgs {
     #[arg(long, value_name = "HOW", default_value_t = Storage::default())]
     storage: Storage,
 
+    /// Angle up to which surfaces are smooth, as of `renderer build`; 0 measures triangles without normals
+    #[arg(long, value_name = "DEGREES", default_value_t = Crease::default(), allow_hyphen_values = true)]
+    crease: Crease,
+
     /// Keep the files, and use a statue that is there in place of a new one
     #[arg(long)]
     keep: bool,
@@ -111,7 +118,11 @@ pub(crate) fn run(args: &LargeArgs) -> Result<()> {
     for &triangles in &args.triangles {
         let need = Need::within(args.memory_budget, triangles);
         let FreeMemory { shared, own } = FreeMemory::now();
-        let free = Need { memory: shared.into_iter().chain(own).min(), disk: free_disk(&args.folder), triangles };
+        // A statue that is used again has its place already.
+        let n_kept =
+            if args.keep { n_bytes(&Files::new(&args.folder, triangles, true)?.model).unwrap_or(0) } else { 0 };
+        let disk = free_disk(&args.folder).map(|free| free + n_kept);
+        let free = Need { memory: shared.into_iter().chain(own).min(), disk, triangles };
         if !args.json {
             say(need.line(&args.folder, &free))?;
         }
@@ -216,7 +227,6 @@ impl Drop for Files {
 
 fn measure(files: &Files, args: &LargeArgs, triangles: u32) -> Result<Row> {
     let task = |name: &str| Task::named(format!("{name} {}", counted(triangles, "triangle")));
-    let n_bytes = |path: &Path| fs::metadata(path).map(|file| file.len());
     if !(files.is_kept && files.model.is_file()) {
         let _task = task("generating");
         let count = triangles.to_string();
@@ -229,7 +239,8 @@ fn measure(files: &Files, args: &LargeArgs, triangles: u32) -> Result<Row> {
     let budget = budget.unwrap_or_else(|| Need::of(triangles).memory.unwrap_or_default().to_string());
     let mut build = files.renderer()?;
     build.arg("build").args([&files.model, &files.scene]).args(["--memory-budget", &budget]);
-    let built = Watched::run(build.args(["--storage", args.storage.into()]))?;
+    build.args(["--storage", args.storage.into()]).args(["--crease", &args.crease.to_string()]);
+    let built = Watched::run(&mut build)?;
     drop(building);
 
     let _task = task("measuring");
@@ -254,6 +265,10 @@ fn measure(files: &Files, args: &LargeArgs, triangles: u32) -> Result<Row> {
         pss_bytes: frames::shared_memory(files, &frames)?,
         frames,
     })
+}
+
+fn n_bytes(path: &Path) -> io::Result<u64> {
+    fs::metadata(path).map(|file| file.len())
 }
 
 /// A figure of a size, as the table has it.
