@@ -103,17 +103,6 @@ fn last_index<T>(items: &[T]) -> u32 {
     items.len().checked_sub(1).expect("items to gather").min(i32::MAX as usize) as u32
 }
 
-/// The index of the last three of bytes that another byte follows.
-///
-/// # Panics
-///
-/// If there is none.
-#[inline(always)]
-fn last_three(bytes: &[u8]) -> u32 {
-    let last = bytes.len().checked_sub(4).expect("threes to gather") / 3;
-    last.min(u32::MAX as usize) as u32
-}
-
 /// The numbers from `first` on, for the lanes of [`Simd::load_bits`].
 #[inline(always)]
 pub(crate) fn consecutive(first: u32) -> [u32; 16] {
@@ -202,19 +191,6 @@ pub(crate) trait Simd: Copy {
     /// Gathers items of four bytes as they are, at the first [`Simd::LANES`] indices; those beyond the last give it. There must
     /// be items.
     fn gather_bits<T: NoUninit>(from: &[T], indices: &[u32]) -> Self;
-    /// Gathers threes of bytes, each in the lower bytes of a lane, at the first [`Simd::LANES`] indices; those beyond the last give
-    /// it. Threes lie one after the other, and at least one byte follows the last.
-    fn gather_threes(bytes: &[u8], indices: &[u32]) -> Self;
-    /// [`Simd::gather_threes`] without a gather instruction.
-    #[inline(always)]
-    fn load_threes(bytes: &[u8], indices: &[u32]) -> Self {
-        let (mut words, last) = ([0; 16], last_three(bytes));
-        for lane in 0..Self::LANES {
-            let first = 3 * indices[lane].min(last) as usize;
-            words[lane] = u32::from_le_bytes(*bytes[first..].first_chunk().expect("a byte follows the last three"));
-        }
-        Self::load_bits(&words)
-    }
     /// Takes the numbers at the first [`Simd::LANES`] places of a table; only the lowest four bits of a place count.
     fn pick(table: &[f32; 16], places: &[u32]) -> Self;
     /// [`Simd::pick`] for numbers as they are.
@@ -350,10 +326,6 @@ impl Simd for Portable {
             gathered.0[lane] = f32::from_bits(bytemuck::cast(from[indices[lane].min(last_index(from)) as usize]));
         }
         gathered
-    }
-    #[inline(always)]
-    fn gather_threes(bytes: &[u8], indices: &[u32]) -> Self {
-        Self::load_threes(bytes, indices)
     }
     methods! {
         fn store(self, to: &mut [f32]) -> () = to[..8].copy_from_slice(&self.0);

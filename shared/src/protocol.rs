@@ -36,7 +36,7 @@ use crate::{
 };
 
 /// The version of all messages, and of the bits of a frame: a change to either changes it.
-pub const PROTOCOL_VERSION: u8 = 22;
+pub const PROTOCOL_VERSION: u8 = 23;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];

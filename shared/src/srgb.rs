@@ -51,30 +51,6 @@ pub fn decode(value: u8) -> f32 {
     DECODED[usize::from(value)]
 }
 
-/// [`decode`] without its table, at most a thousandth of a value beside it; 0 and 255 are exact. A loop over an array becomes
-/// vector instructions, which take less time than gathers from the table.
-#[inline(always)]
-pub fn decode_nearly(value: u8) -> f32 {
-    // (light - 1) / (encoded - 1), fitted to the curve at all values above the straight part, errors weighed by the curve's slope.
-    const COEFFICIENTS: [f32; 8] = [
-        -0.126_182_97,
-        0.446_910_6,
-        -0.676_591_16,
-        0.605_224_85,
-        -0.421_540_44,
-        0.484_213_62,
-        0.963_449_1,
-        0.999_154_7,
-    ];
-    // Not divided: vectors of divisions took longer than the rest.
-    let encoded = f32::from(value) * (1.0 / 255.0);
-    let mut ratio = COEFFICIENTS[0];
-    for coefficient in &COEFFICIENTS[1..] {
-        ratio = ratio * encoded + coefficient;
-    }
-    if encoded <= 0.04045 { encoded * (1.0 / 12.92) } else { 1.0 + (encoded - 1.0) * ratio }
-}
-
 /// The encoded value nearest to a linear light, which is clamped to 0..1; NaN gives 0.
 #[inline]
 pub fn encode(linear: f32) -> u8 {
@@ -113,16 +89,6 @@ mod tests {
                 if encoded <= 0.04045 { encoded * (1.0 / 12.92) } else { ((encoded + 0.055) / 1.055).powf(2.4) };
             assert!((f64::from(decode(value)) - expected).abs() <= 1e-7, "{value}");
         }
-    }
-
-    #[test]
-    fn the_curve_without_a_table_is_the_same_one() {
-        for value in 0..=255u8 {
-            let neighbour = decode(if value == 255 { 254 } else { value + 1 });
-            let error = (decode_nearly(value) - decode(value)).abs();
-            assert!(error <= (neighbour - decode(value)).abs() * 1e-3 && error < 5e-6, "{value}: {error}");
-        }
-        assert_eq!([0, 255].map(decode_nearly), [0.0, 1.0]);
     }
 
     #[test]

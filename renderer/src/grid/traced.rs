@@ -25,6 +25,7 @@ use crate::{
     texture::{
         footprint::{Footprints, texture_point},
         materials::{PointMaterials, TracedMaterials},
+        packed_rgb::{self, PackedRgb},
     },
 };
 use corners::Corners;
@@ -45,9 +46,9 @@ pub struct TracedMesh {
     corners: Corners,
     /// The number of each triangle in the file.
     file_indices: PackedNumbers,
-    /// sRGB; one for each vertex, and another for gathers, which load more than three bytes; empty in a mesh without colours.
+    /// Linear; one for each vertex; empty in a mesh without colours.
     #[serde(skip)]
-    colors: Section<[u8; 3]>,
+    colors: Section<PackedRgb>,
     /// One for each vertex; empty in a mesh without textures.
     #[serde(skip)]
     texture_coordinates: Section<[f32; 2]>,
@@ -82,7 +83,7 @@ impl TracedMesh {
 
     fn vertex_bytes(mesh: &Mesh) -> u64 {
         let bytes_per_vertex = Positions::bytes_per_vertex(mesh.lattice.as_ref())
-            + usize::from(!mesh.colors.is_empty()) * size_of::<[u8; 3]>()
+            + usize::from(!mesh.colors.is_empty()) * size_of::<PackedRgb>()
             + usize::from(!mesh.normals.is_empty()) * size_of::<Normal>()
             + usize::from(!mesh.texture_coordinates.is_empty()) * size_of::<[f32; 2]>();
         bytes_per_vertex as u64 * vertices_in_order(mesh)
@@ -104,9 +105,9 @@ impl TracedMesh {
             positions: Positions::new(&vertices, lattice, &kept),
             corners,
             file_indices,
-            colors: values_of(&colors, &kept, 1).into(),
-            normals: values_of(&normals, &kept, 0).into(),
-            texture_coordinates: values_of(&texture_coordinates, &kept, 0).into(),
+            colors: values_of(&colors, &kept, |color| PackedRgb::nearest(color.map(srgb::decode))).into(),
+            normals: values_of(&normals, &kept, |normal| normal).into(),
+            texture_coordinates: values_of(&texture_coordinates, &kept, |point| point).into(),
             materials,
             bounds,
             bulk_bounds,
@@ -313,10 +314,10 @@ impl TracedMesh {
     #[inline(always)]
     pub(crate) fn gather_colors<S: Simd>(&self, vertices: &[u32; 16], to: &mut [[f32; 16]; 3], first: usize) {
         let mut colors = [0u32; 16];
-        S::gather_threes(self.colors.as_flattened(), vertices).store_bits(&mut colors);
+        S::gather_bits(&self.colors, vertices).store_bits(&mut colors);
         for (channel, to) in to.iter_mut().enumerate() {
-            for (to, color) in to[first..first + S::LANES].iter_mut().zip(&colors) {
-                *to = srgb::decode_nearly(color.to_le_bytes()[channel]);
+            for (to, &color) in to[first..first + S::LANES].iter_mut().zip(&colors) {
+                *to = PackedRgb::of_bits(color).scaled(channel) * packed_rgb::UNITS[channel];
             }
         }
     }
@@ -339,12 +340,12 @@ fn vertices_in_order(mesh: &Mesh) -> u64 {
     mesh.vertices.len() as u64 * 3 / 2
 }
 
-/// Values of the kept vertices, and so many more zeros; none where the mesh has none.
-fn values_of<T: Pod + Send + Sync>(values: &[T], kept: &[Vec<u32>], n_zeros: usize) -> Vec<T> {
+/// Values of the kept vertices, as they are traced; none where the mesh has none.
+fn values_of<T: Pod + Sync, U: Pod + Send>(values: &[T], kept: &[Vec<u32>], traced: impl Fn(T) -> U + Sync) -> Vec<U> {
     if values.is_empty() {
         return Vec::new();
     }
-    in_order(kept, 1, n_zeros, |vertex, to| to[0] = values[vertex as usize])
+    in_order(kept, 1, 0, |vertex, to| to[0] = traced(values[vertex as usize]))
 }
 
 /// The kept vertices' values as `write` gives them by the vertices' numbers as loaded, `stride` items for each, and so many more

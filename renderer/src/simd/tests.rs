@@ -79,37 +79,6 @@ impl Kernel for GathersBits {
     }
 }
 
-/// Gathers threes of bytes within and beyond a slice, with and without a gather instruction.
-struct GathersThrees;
-
-impl Kernel for GathersThrees {
-    type Output = ();
-    #[inline(always)]
-    fn run<S: Simd>(self) {
-        let bytes: [u8; 61] = std::array::from_fn(|byte| 3 + 4 * byte as u8);
-        let indices = [3, 0, 19, 7, u32::MAX, 1 << 31, 20, 5, 18, 2, 11, 4, 1 << 30, 0, 17, 6];
-        for n in 1..=20 {
-            let bytes = &bytes[..3 * n + 1];
-            for gathered in [S::gather_threes(bytes, &indices), S::load_threes(bytes, &indices)] {
-                let mut lanes = [0u32; 16];
-                gathered.store_bits(&mut lanes);
-                for lane in 0..S::LANES {
-                    let first = 3 * (n - 1).min(indices[lane] as usize);
-                    assert_eq!(lanes[lane].to_le_bytes()[..3], bytes[first..first + 3]);
-                }
-            }
-        }
-    }
-}
-
-#[test]
-fn threes_are_gathered_alike_on_every_instruction_set() {
-    for instructions in InstructionSet::available() {
-        // SAFETY: they are available.
-        unsafe { instructions.call(GathersThrees) };
-    }
-}
-
 #[test]
 fn bits_are_gathered_alike_on_every_instruction_set() {
     for instructions in InstructionSet::available() {

@@ -5,7 +5,7 @@ use std::arch::x86_64::*;
 use bytemuck::NoUninit;
 
 use super::{
-    Real, Simd, call_with_features, last_index, last_three,
+    Real, Simd, call_with_features, last_index,
     points::{EXPONENT_BITS, LARGEST_EXPONENT, LOADED, POINT, PointScale},
 };
 
@@ -236,20 +236,6 @@ impl Simd for Avx2 {
             Self(_mm256_i32gather_ps::<4>(from.as_ptr().cast(), indices))
         }
     }
-    #[inline(always)]
-    fn gather_threes(bytes: &[u8], indices: &[u32]) -> Self {
-        // Offsets are signed.
-        if bytes.len() > i32::MAX as usize {
-            return Self::load_threes(bytes, indices);
-        }
-        // SAFETY: as above; four bytes follow each offset.
-        unsafe {
-            let indices = _mm256_loadu_si256(first::<8, _>(indices).as_ptr().cast());
-            let indices = _mm256_min_epu32(indices, _mm256_set1_epi32(last_three(bytes) as i32));
-            let offsets = _mm256_add_epi32(indices, _mm256_slli_epi32::<1>(indices));
-            Self(_mm256_i32gather_ps::<1>(bytes.as_ptr().cast(), offsets))
-        }
-    }
     intrinsics! {
         fn splat(x: f32) -> Self = Self(_mm256_set1_ps(x));
         fn load(from: &[f32]) -> Self = Self(_mm256_loadu_ps(first::<8, _>(from).as_ptr()));
@@ -430,20 +416,6 @@ impl Simd for Avx512 {
             let indices = _mm512_loadu_epi32(first::<16, _>(indices).as_ptr().cast());
             let indices = _mm512_min_epu32(indices, _mm512_set1_epi32(last_index(from) as i32));
             Self(_mm512_i32gather_ps::<4>(indices, from.as_ptr().cast()))
-        }
-    }
-    #[inline(always)]
-    fn gather_threes(bytes: &[u8], indices: &[u32]) -> Self {
-        // Offsets are signed.
-        if bytes.len() > i32::MAX as usize {
-            return Self::load_threes(bytes, indices);
-        }
-        // SAFETY: as above; four bytes follow each offset.
-        unsafe {
-            let indices = _mm512_loadu_epi32(first::<16, _>(indices).as_ptr().cast());
-            let indices = _mm512_min_epu32(indices, _mm512_set1_epi32(last_three(bytes) as i32));
-            let offsets = _mm512_add_epi32(indices, _mm512_slli_epi32::<1>(indices));
-            Self(_mm512_i32gather_ps::<1>(offsets, bytes.as_ptr().cast()))
         }
     }
     intrinsics! {

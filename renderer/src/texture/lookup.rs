@@ -9,7 +9,7 @@ use crate::{
         footprint::{self, FootprintLanes, Footprints, MOST_SQUARES},
         level::{blocks_per_row, column_offset, halved, neighbours, row_offset},
         mip_map::MipMap,
-        texel::{Texel, UNITS},
+        packed_rgb::{PackedRgb, UNITS},
     },
 };
 
@@ -368,7 +368,7 @@ impl Points {
         }
         for (channel, lights) in lights.iter_mut().enumerate() {
             let lights = &mut lights.as_chunks_mut::<N>().0[chunk];
-            let light = |texel: u32| Texel::of_bits(texel).scaled(channel);
+            let light = |texel: u32| PackedRgb::of_bits(texel).scaled(channel);
             for n in 0..N {
                 let above = light(texels[0][n]) * parts[0][n] + light(texels[1][n]) * parts[1][n];
                 let below = light(texels[2][n]) * parts[2][n] + light(texels[3][n]) * parts[3][n];

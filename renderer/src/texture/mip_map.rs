@@ -8,7 +8,7 @@ use crate::{
     scene_file::section::Section,
     texture::{
         level::{Level, halved, is_indexable},
-        texel::{Texel, UNITS},
+        packed_rgb::{PackedRgb, UNITS},
     },
 };
 
@@ -28,14 +28,14 @@ pub(super) struct MipMap {
     pub(super) levels: Vec<Level>,
     /// Those of all levels.
     #[serde(skip)]
-    pub(super) texels: Section<Texel>,
+    pub(super) texels: Section<PackedRgb>,
 }
 
 impl MipMap {
     /// Bytes of the mip map of an image.
     pub(super) fn n_bytes_of(image: &Image) -> u64 {
         let n_texels: u64 = levels([image.width, image.height]).map(|level| u64::from(level.n_texels())).sum();
-        n_texels * size_of::<Texel>() as u64
+        n_texels * size_of::<PackedRgb>() as u64
     }
 
     /// Makes all levels, on the current rayon pool. The first takes the place of the image, which may be most of the memory.
@@ -46,13 +46,13 @@ impl MipMap {
         };
         let levels: Vec<Level> = levels([image.width, image.height]).collect();
         let n_texels: usize = levels.iter().map(|level| level.n_texels() as usize).sum();
-        let mut texels: Vec<Texel> = bytemuck::allocation::cast_vec(image.texels);
+        let mut texels: Vec<PackedRgb> = bytemuck::allocation::cast_vec(image.texels);
         texels.reserve_exact(n_texels - texels.len());
-        texels.resize(n_texels, Texel::default());
+        texels.resize(n_texels, PackedRgb::default());
         let (of_image, _) = texels.split_at_mut(levels[0].n_texels() as usize);
         levels[0].arrange(of_image, |texel, at| {
             let [red, green, blue, _] = bytemuck::cast(texel);
-            Texel::new([red, green, blue].map(decode), at)
+            PackedRgb::of_texel([red, green, blue].map(decode), at)
         });
         for pair in levels.windows(2) {
             let [finer, level] = pair else { continue };
@@ -89,7 +89,7 @@ fn levels(of_image: [u32; 2]) -> impl Iterator<Item = Level> {
 }
 
 /// A texel of the next level: the mean of the area that it covers in the finer one.
-fn mean(texels: &[Texel], finer: &Level, x: u32, y: u32) -> Texel {
+fn mean(texels: &[PackedRgb], finer: &Level, x: u32, y: u32) -> PackedRgb {
     let [columns, rows] = [taps(x, finer.size[0]), taps(y, finer.size[1])];
     let mut mean = [0.0; 3];
     for (finer_y, weight_y) in rows {
@@ -100,7 +100,7 @@ fn mean(texels: &[Texel], finer: &Level, x: u32, y: u32) -> Texel {
             }
         }
     }
-    Texel::new([0, 1, 2].map(|channel| mean[channel] * UNITS[channel]), [x, y])
+    PackedRgb::of_texel([0, 1, 2].map(|channel| mean[channel] * UNITS[channel]), [x, y])
 }
 
 /// The texels that texel `index` of the next level covers in a row of `n`, and the weight of each.

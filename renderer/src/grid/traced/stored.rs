@@ -32,7 +32,7 @@ impl TracedMesh {
         expect(n_triangles < Hit::CAP as usize, "triangles")?;
         self.corners.check_sizes(n_triangles)?;
         self.file_indices.check_sizes("file indices")?;
-        expect(self.colors.is_empty() || self.colors.len() == n_vertices + 1, "colours")?;
+        expect(is_whole(self.colors.len()), "colours")?;
         expect(is_whole(self.normals.len()), "normals")?;
         expect(is_whole(self.texture_coordinates.len()), "texture coordinates")?;
         let is_box = |bounds: &Aabb| {

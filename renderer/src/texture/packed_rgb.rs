@@ -6,20 +6,29 @@ use bytemuck::{Pod, Zeroable};
 /// the same after it was stored here. Its bytes take the place of an image's, which are not aligned.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 #[repr(transparent)]
-pub(super) struct Texel([u8; 4]);
+pub(crate) struct PackedRgb([u8; 4]);
 
-/// The units of [`Texel::scaled`].
-pub(super) const UNITS: [f32; 3] = {
+/// The units of [`PackedRgb::scaled`].
+pub(crate) const UNITS: [f32; 3] = {
     const STEP: f32 = 1.0 / (1023.0 * 1023.0);
     const SHIFT: f32 = 1.0 / (1024.0 * 1024.0);
     [STEP, STEP * SHIFT, STEP * SHIFT * SHIFT]
 };
 
-impl Texel {
-    /// One of the two texels next to numbers from 0 to 1, chosen by the texel's column and row, so that the mean over any even
-    /// surface has no error: to the nearest texel, a whole surface would be too light or too dark by up to a hundredth.
-    pub(super) fn new(numbers: [f32; 3], at: [u32; 2]) -> Self {
-        let threshold = threshold(at);
+impl PackedRgb {
+    /// The nearest to numbers from 0 to 1, at most an eighth of a step of sRGB away.
+    pub(crate) fn nearest(numbers: [f32; 3]) -> Self {
+        Self::above(numbers, 0.5)
+    }
+
+    /// One of the two next to a texel's numbers, chosen by the texel's column and row, so that the mean over any even surface
+    /// has no error: with the nearest, a whole surface would be too light or too dark by up to a hundredth.
+    pub(super) fn of_texel(numbers: [f32; 3], at: [u32; 2]) -> Self {
+        Self::above(numbers, threshold(at))
+    }
+
+    /// The next higher steps where numbers are farther than this part of a step above the next lower, else these.
+    fn above(numbers: [f32; 3], threshold: f32) -> Self {
         let [x, y, z] = numbers.map(|number| {
             let below = (number.sqrt() * 1023.0) as u32;
             let [from, to] = [below, below + 1].map(|root| (root * root) as f32);
@@ -28,15 +37,15 @@ impl Texel {
         Self((x | y << 10 | z << 20).to_le_bytes())
     }
 
-    /// The texel of these bits, as [`Simd::gather_bits`](crate::simd::Simd::gather_bits) finds them.
+    /// That of these bits, as [`Simd::gather_bits`](crate::simd::Simd::gather_bits) finds them.
     #[inline(always)]
-    pub(super) fn of_bits(bits: u32) -> Self {
+    pub(crate) fn of_bits(bits: u32) -> Self {
         Self(bits.to_ne_bytes())
     }
 
     /// One of the numbers, of channel 0, 1 or 2, in units of [`UNITS`]: its bits are squared where they lie.
     #[inline(always)]
-    pub(super) fn scaled(self, channel: usize) -> f32 {
+    pub(crate) fn scaled(self, channel: usize) -> f32 {
         let root = (u32::from_le_bytes(self.0) & 0x3ff << (10 * channel)) as i32 as f32;
         root * root
     }
@@ -56,9 +65,12 @@ mod tests {
 
     use super::*;
 
+    fn unpacked(packed: PackedRgb) -> [f32; 3] {
+        [0, 1, 2].map(|channel| packed.scaled(channel) * UNITS[channel])
+    }
+
     fn stored(numbers: [f32; 3], at: [u32; 2]) -> [f32; 3] {
-        let texel = Texel::new(numbers, at);
-        [0, 1, 2].map(|channel| texel.scaled(channel) * UNITS[channel])
+        unpacked(PackedRgb::of_texel(numbers, at))
     }
 
     #[test]
@@ -71,6 +83,23 @@ mod tests {
                 light.iter().zip(stored).all(|(light, stored)| (light - stored).abs() <= 2e-3 * light.sqrt() + 1e-6)
             );
         }
+    }
+
+    #[test]
+    fn the_nearest_is_at_most_half_a_step_away() {
+        for number in (0..=10_000).map(|n| n as f32 / 10_000.0) {
+            let [expected, stored] =
+                [number, unpacked(PackedRgb::nearest([0.5, number, 0.0]))[1]].map(|x| f64::from(x).sqrt() * 1023.0);
+            // Half way between the squares of 0 and 1 is 0.21 above half way between them.
+            assert!((stored - expected).abs() <= 0.71, "{number}: {stored}, not {expected}");
+            assert!((stored - expected).abs() <= 0.51 || expected < 10.0, "{number}: {stored}, not {expected}");
+        }
+        for value in 0..=255u8 {
+            let light = [value, 255 - value, value / 2];
+            let stored = unpacked(PackedRgb::nearest(light.map(srgb::decode)));
+            assert_eq!(stored.map(srgb::encode), light);
+        }
+        assert_eq!(unpacked(PackedRgb::nearest([1.0, 0.0, 1.0])), [1.0, 0.0, 1.0]);
     }
 
     #[test]
