@@ -22,15 +22,17 @@ const N_CHUNKS: usize = 64 / N;
 /// Levels that are used, as many as a vector can choose from: all of an image of 32768×32768.
 const MOST_LEVELS: usize = 16;
 
-/// Computes the means of a texture over footprints of samples.
-pub(super) struct Means<'a> {
+/// Multiplies numbers by a factor, and by the means of a texture over footprints of samples.
+pub(super) struct MultiplyByMeans<'a> {
     pub(super) map: &'a MipMap,
     pub(super) wrap: [Wrap; 2],
     /// From texture coordinates of the mesh to those of the texture.
     pub(super) transform: &'a [[f32; 3]; 2],
     pub(super) footprints: &'a Footprints,
+    /// By channel.
+    pub(super) factor: [f32; 3],
     /// By channel; those beyond the footprints become undefined.
-    pub(super) means: &'a mut [[f32; 64]; 3],
+    pub(super) numbers: &'a mut [[f32; 64]; 3],
 }
 
 /// The lookups of up to 64 samples: squares on a level, then the same on the next, if that has a part of the light.
@@ -62,13 +64,13 @@ const STEPS_OF_SORTING: u32 = 3;
 /// Most lookups of a sample: all squares on two levels.
 const MOST_LOOKUPS: u32 = 2 * MOST_SQUARES;
 
-impl Kernel for Means<'_> {
+impl Kernel for MultiplyByMeans<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self) {
         if let Some(lights) = self.lights_of_small::<S>() {
-            *self.means = lights;
+            self.multiply(&lights);
             return;
         }
         let mut plans = self.plans();
@@ -77,21 +79,22 @@ impl Kernel for Means<'_> {
         if let Some(order) = &order {
             plans.sort(&order[..n]);
         }
-        let lights = plans.lights::<S>(self.map, self.wrap);
-        for (means, lights) in self.means.iter_mut().zip(&lights) {
-            let Some(order) = &order else {
-                *means = *lights;
-                continue;
-            };
-            for (&sample, &light) in order[..n].iter().zip(lights) {
-                means[sample as usize % 64] = light;
+        let mut lights = plans.lights::<S>(self.map, self.wrap);
+        if let Some(order) = &order {
+            for lights in &mut lights {
+                let sorted = *lights;
+                for (&sample, light) in order[..n].iter().zip(sorted) {
+                    lights[sample as usize % 64] = light;
+                }
             }
         }
+        self.multiply(&lights);
     }
 }
 
-impl Means<'_> {
-    /// The light of samples whose footprints are all small, which needs one lookup for each. `None` if some are not.
+impl MultiplyByMeans<'_> {
+    /// The light of samples whose footprints are all small, in units of [`UNITS`], which needs one lookup for each. `None` if
+    /// some are not.
     ///
     /// Close to a surface most samples are such; they get by without plans, which take as long as their lookups.
     #[inline(always)]
@@ -117,7 +120,16 @@ impl Means<'_> {
         for (chunk, points) in points.iter().enumerate().take(n_chunks) {
             points.blend::<S>(self.map, chunk, &mut lights);
         }
-        Some(scaled(lights))
+        Some(lights)
+    }
+
+    /// Multiplies the numbers by lights in units of [`UNITS`].
+    #[inline(always)]
+    fn multiply(self, lights: &[[f32; 64]; 3]) {
+        for (channel, (numbers, lights)) in self.numbers.iter_mut().zip(lights).enumerate() {
+            let factor = UNITS[channel] * self.factor[channel];
+            numbers.iter_mut().zip(lights).for_each(|(number, light)| *number *= light * factor);
+        }
     }
 
     /// Covers each footprint by squares, and blends two levels for each.
@@ -210,7 +222,7 @@ impl Plans {
         }
     }
 
-    /// The mean light of each sample.
+    /// The mean light of each sample, in units of [`UNITS`].
     #[inline(always)]
     fn lights<S: Simd>(&self, map: &MipMap, wrap: [Wrap; 2]) -> [[f32; 64]; 3] {
         let mut lights = [[0.0; 64]; 3];
@@ -236,7 +248,7 @@ impl Plans {
             }
             present = next;
         }
-        scaled(lights)
+        lights
     }
 
     /// The chunks of which some samples have a lookup of this number.
@@ -262,15 +274,6 @@ impl Chunks {
     fn as_slice(&self) -> &[usize] {
         &self.chunks[..self.n]
     }
-}
-
-/// Lights by channel, in units of [`UNITS`] before.
-#[inline(always)]
-fn scaled(mut lights: [[f32; 64]; 3]) -> [[f32; 64]; 3] {
-    for (lights, unit) in lights.iter_mut().zip(UNITS) {
-        lights.iter_mut().for_each(|light| *light *= unit);
-    }
-    lights
 }
 
 /// Sorts the numbers of samples; those beyond them are undefined.

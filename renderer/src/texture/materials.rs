@@ -12,7 +12,7 @@ use crate::{
     texture::{
         footprint::{self, Footprints},
         level,
-        lookup::Means,
+        lookup::MultiplyByMeans,
         mask::Mask,
         mip_map::{Encoding, MipMap},
     },
@@ -255,10 +255,7 @@ impl TracedMaterials {
         }
         let (indices, first) = (&indices[..triangles.len()], indices[0]);
         if indices.iter().take(of_triangles.len()).all(|&index| index == first) {
-            let tints = self.set(instructions, first, (&NUMBERS[..indices.len()], footprints), points);
-            for (colors, tints) in colors.iter_mut().zip(&tints) {
-                colors.iter_mut().zip(tints).for_each(|(color, tint)| *color *= tint);
-            }
+            self.set(instructions, first, (&NUMBERS[..indices.len()], footprints), colors, points);
             return;
         }
 
@@ -274,38 +271,41 @@ impl TracedMaterials {
             }
             let hits = &hits[..n];
             let footprints = if footprints.is_empty() { Footprints::NONE } else { footprints.pick(hits) };
-            let tints = self.set(instructions, index, (hits, &footprints), points);
+            let mut tints = [[1.0; 64]; 3];
+            self.set(instructions, index, (hits, &footprints), &mut tints, points);
             for (colors, tints) in colors.iter_mut().zip(&tints) {
                 hits.iter().zip(tints).for_each(|(&hit, tint)| colors[hit] *= tint);
             }
         }
     }
 
-    /// Sets the material at some hits, multiplied by its textures if there are footprints. Returns the base colours there, by
-    /// channel, in the order of these hits.
+    /// Sets the material at some hits, multiplied by its textures if there are footprints. Multiplies colours, by channel, in the
+    /// order of these hits, by the base colours there.
     fn set(
         &self,
         instructions: InstructionSet,
         index: usize,
         (hits, footprints): (&[usize], &Footprints),
+        colors: &mut [[f32; 64]; 3],
         points: &mut PointMaterials,
-    ) -> [[f32; 64]; 3] {
-        let mut tints = [[1.0; 64]; 3];
+    ) {
         let Some(TracedMaterial { base_color, plain, base_color_texture, gloss_texture, emissive_texture, .. }) =
             self.materials.get(index)
         else {
-            return tints;
+            return;
         };
-        self.look_up(instructions, base_color_texture.as_ref(), footprints, &mut tints);
-        for (tints, base_color) in tints.iter_mut().zip(base_color.to_array()) {
-            tints.iter_mut().for_each(|tint| *tint *= base_color);
+        let base_color = base_color.to_array();
+        if !self.look_up(instructions, base_color_texture.as_ref(), footprints, base_color, colors) {
+            for (colors, base_color) in colors.iter_mut().zip(base_color) {
+                colors.iter_mut().for_each(|color| *color *= base_color);
+            }
         }
         if plain.only_scatters() {
-            return tints;
+            return;
         }
         hits.iter().for_each(|&hit| points.set(hit, *plain));
         let mut means = [[1.0; 64]; 3];
-        if self.look_up(instructions, gloss_texture.as_ref(), footprints, &mut means) {
+        if self.look_up(instructions, gloss_texture.as_ref(), footprints, [1.0; 3], &mut means) {
             let [_, roughnesses, metallics] = &means;
             for (&hit, (of_roughness, of_metallic)) in hits.iter().zip(roughnesses.iter().zip(metallics)) {
                 if let Finish::Glossy { roughness, metallic } = &mut points.materials[hit].finish {
@@ -314,26 +314,28 @@ impl TracedMaterials {
                 }
             }
         }
-        if self.look_up(instructions, emissive_texture.as_ref(), footprints, &mut means) {
+        let mut means = [[1.0; 64]; 3];
+        if self.look_up(instructions, emissive_texture.as_ref(), footprints, [1.0; 3], &mut means) {
             for (index, &hit) in hits.iter().enumerate().take(64) {
                 points.materials[hit].emissive *= Vec3::new(means[0][index], means[1][index], means[2][index]);
             }
         }
-        tints
     }
 
-    /// Finds the means of a texture over footprints; says whether there are any.
+    /// Multiplies numbers, by channel, by a factor and by the means of a texture over footprints; does nothing, and says so, if
+    /// there are none.
     fn look_up(
         &self,
         instructions: InstructionSet,
         texture: Option<&Texture>,
         footprints: &Footprints,
-        means: &mut [[f32; 64]; 3],
+        factor: [f32; 3],
+        numbers: &mut [[f32; 64]; 3],
     ) -> bool {
         let Some(Texture { index, wrap, transform }) = texture.filter(|_| !footprints.is_empty()) else { return false };
         let map = &self.maps[*index];
         // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-        unsafe { instructions.call(Means { map, wrap: *wrap, transform, footprints, means }) };
+        unsafe { instructions.call(MultiplyByMeans { map, wrap: *wrap, transform, footprints, factor, numbers }) };
         true
     }
 

@@ -127,7 +127,7 @@ mod tests {
     use crate::{
         model::material::Wrap,
         simd::InstructionSet,
-        texture::{footprint::Footprint, lookup::Means},
+        texture::{footprint::Footprint, lookup::MultiplyByMeans},
     };
 
     fn noise(width: u32, height: u32) -> Image {
@@ -181,9 +181,10 @@ mod tests {
         const IDENTITY: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
         let of_block = |block: &[Footprint]| {
             let footprints = &block.iter().copied().collect();
-            let mut means = [[0.0; 64]; 3];
+            let mut means = [[1.0; 64]; 3];
+            let (transform, factor, numbers) = (&IDENTITY, [1.0; 3], &mut means);
             // SAFETY: the callers ask for available instructions alone.
-            unsafe { instructions.call(Means { map, wrap, transform: &IDENTITY, footprints, means: &mut means }) };
+            unsafe { instructions.call(MultiplyByMeans { map, wrap, transform, footprints, factor, numbers }) };
             (0..block.len())
                 .map(|index| Vec3A::new(means[0][index], means[1][index], means[2][index]))
                 .collect::<Vec<_>>()
