@@ -361,7 +361,7 @@ fn a_mesh_beyond_the_budget_gets_a_grid_and_a_line_that_says_so() {
         assert!(shortage.contains("M, more than --memory-budget 16M"), "{storage}: {shortage}");
         assert!(grid.n_bytes() * 4 <= TracedMesh::peak_bytes(&mesh) as usize + PROGRAM_BYTES as usize);
         let lists = grid.figures().lists;
-        assert!(lists > if storage == Storage::Compact { 500 } else { 2_500 }, "{storage} has {lists}");
+        assert!(lists > if storage == Storage::Compact { 400 } else { 2_500 }, "{storage} has {lists}");
     }
 }
 
