@@ -47,7 +47,7 @@ fn large_models_are_measured_from_their_files_to_frames() {
         let large = large(&["--triangles", "1000,100000000"]);
         limited.arg(large.get_program()).args(large.get_args()).env("RUST_LOG", "error");
         let (status, said) = Program::start(limited).wait();
-        let is_told = said.contains("error: 100000000 triangles need 4.1 GB of memory and 5.6 GB of disk in ")
+        let is_told = said.contains("error: 100000000 triangles need 4.9 GB of memory and 5.6 GB of disk in ")
             && said.contains("; this machine lacks that: ask for fewer triangles");
         assert!(!status.success() && is_told && !said.contains("bytes a triangle"), "{said}");
     }
