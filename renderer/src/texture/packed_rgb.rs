@@ -37,7 +37,7 @@ impl PackedRgb {
         Self((x | y << 10 | z << 20).to_le_bytes())
     }
 
-    /// That of these bits, as [`Simd::gather_bits`](crate::simd::Simd::gather_bits) finds them.
+    /// The numbers of these bits, as [`Simd::gather_bits`](crate::simd::Simd::gather_bits) finds them.
     #[inline(always)]
     pub(crate) fn of_bits(bits: u32) -> Self {
         Self(bits.to_ne_bytes())

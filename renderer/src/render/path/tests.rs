@@ -210,7 +210,7 @@ fn in_a_white_furnace_nothing_is_seen() {
 
 #[test]
 fn a_convex_surface_has_its_albedo_in_an_even_sky() {
-    // Their light is stored to within 5e-6: see `PackedRgb`.
+    // The light of these bytes is stored to within 5e-6: see `PackedRgb`.
     let color = [61, 43, 255];
     let scene = build(colored(ball(), color));
     let albedo = Vec3::from_array(color.map(shared::srgb::decode)).as_dvec3();
