@@ -4,8 +4,8 @@
 //! cells of one size: [`uniform::row_displacement`] compresses it, [`uniform::macrocells`] skips its empty cells.
 //!
 //! In reading order: [`options`] for a grid, and its memory [`budget`]; [`choice`] of the density; [`build`] makes the
-//! grid and orders the mesh by it; [`traced`] is that mesh; [`packed`] are lists in few bits; [`cells`] is how rays look
-//! cells up; [`figures`] are sizes and counts.
+//! grid and orders the mesh by it; [`traced`] is that mesh; [`cells`] is how rays look cells up; [`figures`] are
+//! sizes and counts.
 
 pub(crate) mod budget;
 pub(crate) mod build;
@@ -13,7 +13,6 @@ pub(crate) mod cells;
 pub(crate) mod choice;
 pub(crate) mod figures;
 pub(crate) mod options;
-pub(crate) mod packed;
 mod stored;
 #[cfg(test)]
 mod tests;

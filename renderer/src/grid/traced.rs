@@ -1,6 +1,7 @@
 //! The mesh that rays hit: ordered so that triangles close in space are close in memory.
 
 mod corners;
+mod file_indices;
 mod numbering;
 mod positions;
 mod stored;
@@ -12,7 +13,6 @@ use serde::{Deserialize, Serialize};
 use shared::srgb;
 
 use crate::{
-    grid::packed::PackedNumbers,
     intersect::ray::Ray,
     model::{
         lattice::Lattice,
@@ -29,6 +29,7 @@ use crate::{
     },
 };
 use corners::Corners;
+use file_indices::FileIndices;
 use numbering::Vertices;
 use positions::Positions;
 
@@ -44,8 +45,7 @@ pub struct TracedMesh {
     /// The vertices of each triangle, which all have [`TracedMesh::positions`].
     #[serde(skip)]
     corners: Corners,
-    /// The number of each triangle in the file.
-    file_indices: PackedNumbers,
+    file_indices: FileIndices,
     /// Linear; one for each vertex; empty in a mesh without colours.
     #[serde(skip)]
     colors: Section<PackedRgb>,
@@ -99,7 +99,7 @@ impl TracedMesh {
             Vertices { positions: &vertices, normals: &normals, colors: &colors, coordinates: &texture_coordinates };
         let (corners, kept) = Corners::new(&order, &triangles, &of_vertices);
         drop(triangles);
-        let file_indices = PackedNumbers::new(&order);
+        let file_indices = FileIndices::new(&order);
         drop(order);
         Self {
             positions: Positions::new(&vertices, lattice, &kept),

@@ -4,6 +4,7 @@
 
 pub(crate) mod boxes;
 pub(crate) mod divide;
+mod guests;
 pub(crate) mod hierarchy;
 pub(crate) mod items;
 pub(crate) mod overlap;

@@ -18,7 +18,7 @@ use crate::scene_file::{
 pub(crate) const MAGIC: [u8; 8] = *b"RAYWALL\0";
 
 /// It changes with every change of what sections or records hold.
-pub(crate) const VERSION: u32 = 14;
+pub(crate) const VERSION: u32 = 15;
 
 /// As this machine's memory holds it.
 const BYTE_ORDER: u32 = 0x0403_0201;

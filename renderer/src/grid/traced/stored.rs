@@ -17,7 +17,7 @@ impl TracedMesh {
     ) -> Result<(), Fault> {
         self.positions.visit_sections(visitor)?;
         self.corners.visit_sections(visitor)?;
-        self.file_indices.visit_sections(["file index windows", "file indices"], visitor)?;
+        self.file_indices.visit_sections(visitor)?;
         visitor.visit("colours", &mut self.colors)?;
         visitor.visit("normals", &mut self.normals)?;
         visitor.visit("texture coordinates", &mut self.texture_coordinates)?;
@@ -31,7 +31,7 @@ impl TracedMesh {
         let is_whole = |n_items: usize| n_items == 0 || n_items == n_vertices;
         expect(n_triangles < Hit::CAP as usize, "triangles")?;
         self.corners.check_sizes(n_triangles)?;
-        self.file_indices.check_sizes("file indices")?;
+        self.file_indices.check_sizes()?;
         expect(is_whole(self.colors.len()), "colours")?;
         expect(is_whole(self.normals.len()), "normals")?;
         expect(is_whole(self.texture_coordinates.len()), "texture coordinates")?;
@@ -45,7 +45,7 @@ impl TracedMesh {
 
     pub(in crate::grid) fn check_contents(&self) -> Result<(), Damage> {
         self.corners.check_contents(self.positions.len())?;
-        self.file_indices.check_contents("file indices")?;
+        self.file_indices.check_contents()?;
         self.positions.check_contents(&self.bounds)
     }
 }

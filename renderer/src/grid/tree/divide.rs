@@ -142,7 +142,10 @@ impl Builder<'_> {
                 })
                 .collect();
             group_neighbours(&mut placed);
+            let first = part.references.len();
             part.references.extend(placed.into_iter().map(|placed| placed.triangle));
+            // Numbers in their order take fewer bits.
+            part.references[first..].chunks_mut(GROUP).for_each(<[u32]>::sort_unstable);
         } else {
             part.references.extend_from_slice(references);
         }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    grid::packed::PackedNumbers,
+    grid::tree::guests::Guests,
     scene_file::{
         fault::{Damage, Fault},
         section::Section,
@@ -23,8 +23,7 @@ use crate::{
 pub(crate) struct Items {
     #[serde(skip)]
     words: Section<Word>,
-    /// The triangle indices of guests.
-    guests: PackedNumbers,
+    guests: Guests,
 }
 
 /// Sixty-four items.
@@ -71,7 +70,7 @@ impl Items {
         }
         listed.truncate(n_triangles);
         listed.shrink_to_fit();
-        (Self { words: words.into(), guests: PackedNumbers::new(&guests) }, listed)
+        (Self { words: words.into(), guests: Guests::new(&guests) }, listed)
     }
 
     pub(crate) fn n_bytes(&self) -> usize {
@@ -97,13 +96,13 @@ impl Items {
 
     pub(super) fn visit_sections<'a>(&'a mut self, visitor: &mut impl SectionVisitor<'a>) -> Result<(), Fault> {
         visitor.visit("items", &mut self.words)?;
-        self.guests.visit_sections(["guest windows", "guests"], visitor)
+        self.guests.visit_sections(visitor)
     }
 
     /// Checks that so many items can have so many triangles.
     pub(super) fn check_sizes(&self, n_items: usize, n_triangles: usize) -> Result<(), Damage> {
         expect(self.words.len() == n_items.div_ceil(64), "items")?;
-        self.guests.check_sizes("guests")?;
+        self.guests.check_sizes()?;
         expect(self.guests.len().checked_add(n_triangles) == Some(n_items), "guests")
     }
 
@@ -117,7 +116,7 @@ impl Items {
         let n_in_last = n_items % 64;
         let are_items = n_in_last == 0 || self.words.last().is_some_and(|word| word.guests() >> n_in_last == 0);
         expect(are_items && n_guests + n_triangles == n_items, "items")?;
-        self.guests.check_contents("guests")?;
+        self.guests.check_contents()?;
         expect((0..n_guests).into_par_iter().all(|nth| (self.guests.get(nth) as usize) < n_triangles), "guests")
     }
 }
@@ -156,7 +155,7 @@ mod tests {
     #[test]
     fn guests_that_do_not_exist_are_found() {
         let (mut items, order) = Items::new(vec![0, 1, 0], 2);
-        items.guests = PackedNumbers::new(&[2]);
+        items.guests = Guests::new(&[2]);
         assert!(items.check_contents(3, order.len()).is_err());
     }
 }
