@@ -204,7 +204,7 @@ fn the_first_of_equal_triangles_wins() {
 
 #[test]
 fn a_ray_s_cost_counts_cells_and_tests_up_to_the_hit() {
-    for grid in build_modes(&cube(12)) {
+    for grid in build_modes(&cube(30)) {
         check_cost(&grid);
     }
 }

@@ -149,7 +149,7 @@ fn changed_contents_with_right_hashes_are_refused_or_harmless() {
     });
     let (mut n_refused, mut n_harmless) = (0, 0);
     let mut state = 1u64;
-    for nth in 0..300 {
+    for nth in 0..400 {
         let bytes = &files[nth % 2];
         let mut changed = bytes.clone();
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -226,7 +226,7 @@ fn load(store: &SceneStore, path: &Path, options: &GridOptions) -> (StoredScene,
 #[test]
 fn a_model_is_built_once_and_checked_never() {
     let folder = tempfile::tempdir().unwrap();
-    let (path, store) = model(folder.path(), 150_000);
+    let (path, store) = model(folder.path(), 200_000);
     let options = GridOptions::default();
     let source = SceneSource::File(path.clone());
     assert!(!store.has(&source, Treatment::default()));
@@ -263,7 +263,7 @@ fn a_model_is_built_once_and_checked_never() {
 #[test]
 fn a_scene_that_is_cut_changed_or_of_another_version_is_built_again() {
     let folder = tempfile::tempdir().unwrap();
-    let (path, store) = model(folder.path(), 150_000);
+    let (path, store) = model(folder.path(), 200_000);
     let options = GridOptions::default();
     let (scene, _) = load(&store, &path, &options);
     let (info, bits) = (scene.info.clone(), picture(&scene.scene, &scene.info));
@@ -301,7 +301,7 @@ fn a_scene_that_is_cut_changed_or_of_another_version_is_built_again() {
 fn a_scene_with_too_little_memory_is_built_again_where_there_is_more() {
     // A cache in memory has no room for temporary files.
     let folder = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
-    let (path, store) = model(folder.path(), 400_000);
+    let (path, store) = model(folder.path(), 500_000);
     let with = |text: &str| GridOptions { memory_budget: text.parse().unwrap(), ..GridOptions::default() };
     let (coarse, _) = load(&store, &path, &with("16M"));
     let shortage = coarse.scene.grid.shortage().map(|it| it.to_string());
@@ -318,7 +318,7 @@ fn a_scene_with_too_little_memory_is_built_again_where_there_is_more() {
 #[test]
 fn two_that_start_at_once_build_one_scene() {
     let folder = tempfile::tempdir().unwrap();
-    let (path, store) = model(folder.path(), 150_000);
+    let (path, store) = model(folder.path(), 200_000);
     let start = Arc::new(Barrier::new(2));
     let both: Vec<_> = (0..2)
         .map(|_| {
@@ -338,7 +338,7 @@ fn two_that_start_at_once_build_one_scene() {
 #[test]
 fn the_cache_has_a_limit_and_keeps_what_was_used_last() {
     let folder = tempfile::tempdir().unwrap();
-    let (first, store) = model(folder.path(), 150_000);
+    let (first, store) = model(folder.path(), 200_000);
     let [second, third] = ["b.ply", "c.ply"].map(|name| folder.path().join(name));
     [&second, &third].iter().for_each(|path| assert!(fs::copy(&first, path).is_ok()));
     thread::sleep(Duration::from_millis(50));

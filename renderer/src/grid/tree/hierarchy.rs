@@ -1,12 +1,14 @@
 //! A hierarchy of boxes over a scene, for rays that go alone.
 //!
-//! A node has up to 16 children, whose boxes a ray is compared with all at once. They are made from the top by the surface
-//! area heuristic (MacDonald and Booth, "Heuristics for Ray Tracing Using Space Subdivision", 1990), so where little is
-//! there, ways are short.
+//! A node has up to 16 children, whose boxes a ray is compared with all at once. They are made by the surface area heuristic
+//! (MacDonald and Booth, "Heuristics for Ray Tracing Using Space Subdivision", 1990), so where little is there, ways are
+//! short: from the top, until few items are left, and from there as [`collapse`] finds best.
 //!
 //! Below lie the leaves of a tree: nodes are few beside triangles, as a leaf holds dozens of them. Where triangles are
 //! large beside leaves, each lies in several, and a ray is tested against it in each. There, and in scenes that are small
 //! enough, the triangles themselves lie below, which takes more memory and 0.5 to 0.95 of the time.
+
+mod collapse;
 
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3A};
@@ -14,6 +16,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::{scene_file::section::Section, simd::Simd};
+use collapse::BinaryTree;
 
 /// Most children of a node.
 pub(crate) const CHILDREN: usize = 16;
@@ -35,6 +38,9 @@ const FEW_TRIANGLES: usize = 1 << 22;
 
 /// References for each triangle from which larger scenes afford it too: rays take two thirds of the time there.
 const MANY_REFERENCES: f64 = 1.5;
+
+/// Most items whose nodes [`collapse`] finds. With eight times as many, rays take as long, and a job is as large.
+const FEW_ITEMS: usize = 4096;
 
 /// Bytes for each triangle while a hierarchy over triangles is built: an item, and its part of nodes that are nearly full.
 const BYTES_PER_TRIANGLE: u64 = 48 + 36;
@@ -141,24 +147,19 @@ impl Hierarchy {
 impl Nodes {
     /// Appends the nodes of some items, at most [`CHILDREN`] to the power of `n_levels`; returns their root.
     fn append<const OF_TRIANGLES: bool>(&mut self, items: &mut [BoundedItem], n_levels: usize) -> Entry {
-        match items {
-            [] => return NONE,
-            [only] if !OF_TRIANGLES => return LEAF | only.item,
-            _ if OF_TRIANGLES && items.len() <= CHILDREN => {
-                let mut node = HierarchyNode::EMPTY;
-                for (slot, item) in items.iter().enumerate() {
-                    node.set_child(slot, item.item, &item.bounds);
-                }
-                self.triangle_nodes.push(node);
-                return LEAF | (self.triangle_nodes.len() - 1) as Entry;
+        if let Some(leaf) = self.append_leaf::<OF_TRIANGLES>(items) {
+            return leaf;
+        }
+        if items.len() <= FEW_ITEMS {
+            let tree = BinaryTree::new::<OF_TRIANGLES>(items);
+            if tree.n_levels::<OF_TRIANGLES>(tree.root()) <= n_levels {
+                return self.append_collapsed::<OF_TRIANGLES>(items, &tree, tree.root());
             }
-            _ => (),
         }
         let parts = divide(items, n_levels);
         let slots = slots(&parts);
         let node_idx = self.nodes.len();
         self.nodes.push(HierarchyNode::EMPTY);
-        let n_items = items.len();
         let mut jobs = Vec::with_capacity(parts.len());
         let mut rest = items;
         for (part, &slot) in parts.iter().zip(&slots) {
@@ -167,15 +168,6 @@ impl Nodes {
             jobs.push((slot, part.bounds, of_part));
         }
 
-        // Few items are not worth a job each.
-        const FEW: usize = 4096;
-        if n_items <= FEW {
-            for (slot, bounds, part) in jobs {
-                let child = self.append::<OF_TRIANGLES>(part, n_levels - 1);
-                self.nodes[node_idx].set_child(slot, child, &bounds);
-            }
-            return node_idx as Entry;
-        }
         let subtree = |(slot, bounds, part): (usize, Bounds, &mut [BoundedItem])| {
             let mut subtree = Self::default();
             let root = subtree.append::<OF_TRIANGLES>(part, n_levels - 1);
@@ -196,6 +188,46 @@ impl Nodes {
             self.nodes[node_idx].set_child(slot, moved(root), &bounds);
         }
         node_idx as Entry
+    }
+
+    /// Appends the nodes of a binary tree's node; returns their root.
+    fn append_collapsed<const OF_TRIANGLES: bool>(
+        &mut self,
+        items: &[BoundedItem],
+        tree: &BinaryTree,
+        node: usize,
+    ) -> Entry {
+        let Part { first, n, .. } = *tree.part(node);
+        if let Some(leaf) = self.append_leaf::<OF_TRIANGLES>(&items[first..first + n]) {
+            return leaf;
+        }
+        let children = tree.children(node);
+        let parts: Vec<_> = children.iter().map(|&child| *tree.part(child)).collect();
+        let slots = slots(&parts);
+        let node_idx = self.nodes.len();
+        self.nodes.push(HierarchyNode::EMPTY);
+        for ((child, part), slot) in children.into_iter().zip(parts).zip(slots) {
+            let child = self.append_collapsed::<OF_TRIANGLES>(items, tree, child);
+            self.nodes[node_idx].set_child(slot, child, &part.bounds);
+        }
+        node_idx as Entry
+    }
+
+    /// The entry of items that need no node above them: a leaf, or the triangles of one node.
+    fn append_leaf<const OF_TRIANGLES: bool>(&mut self, items: &[BoundedItem]) -> Option<Entry> {
+        match items {
+            [] => Some(NONE),
+            [only] if !OF_TRIANGLES => Some(LEAF | only.item),
+            _ if OF_TRIANGLES && items.len() <= CHILDREN => {
+                let mut node = HierarchyNode::EMPTY;
+                for (slot, item) in items.iter().enumerate() {
+                    node.set_child(slot, item.item, &item.bounds);
+                }
+                self.triangle_nodes.push(node);
+                Some(LEAF | (self.triangle_nodes.len() - 1) as Entry)
+            }
+            _ => None,
+        }
     }
 }
 
@@ -262,6 +294,7 @@ impl Bounds {
 }
 
 /// Leaves that follow each other.
+#[derive(Clone, Copy)]
 struct Part {
     first: usize,
     n: usize,
@@ -288,9 +321,8 @@ fn divide(leaves: &mut [BoundedItem], n_levels: usize) -> Vec<Part> {
         let Some(largest) = divisible.max_by(|&a, &b| size(&parts[a]).total_cmp(&size(&parts[b]))) else { break };
         let Part { first, n, bounds } = parts[largest];
         let of_part = &mut leaves[first..first + n];
-        let Split { axis, n_low, .. } = if is_tight { Split::half(n, &bounds) } else { Split::best(of_part) };
-        let along = |leaf: &BoundedItem| leaf.bounds.centre()[axis];
-        of_part.select_nth_unstable_by(n_low, |a, b| along(a).total_cmp(&along(b)));
+        let split = if is_tight { Split::half(n, &bounds) } else { Split::best(of_part) };
+        let n_low = split.apply(of_part);
         parts[largest] = Part::new(leaves, first, n_low);
         parts.insert(largest + 1, Part::new(leaves, first + n_low, n - n_low));
     }
@@ -311,6 +343,13 @@ impl Split {
     fn half(n: usize, bounds: &Bounds) -> Self {
         let axis = (bounds.high - bounds.low).max_position();
         Self { axis, n_low: n / 2, cost: f32::INFINITY }
+    }
+
+    /// Orders leaves by side; returns how many are on the low one.
+    fn apply(&self, leaves: &mut [BoundedItem]) -> usize {
+        let along = |leaf: &BoundedItem| leaf.bounds.centre()[self.axis];
+        leaves.select_nth_unstable_by(self.n_low, |a, b| along(a).total_cmp(&along(b)));
+        self.n_low
     }
 
     /// The best of the splits between 16 bins along each axis.
@@ -430,6 +469,17 @@ mod tests {
                 assert!(found.iter().all(|&times| times == 1), "{n}");
             }
         }
+    }
+
+    #[test]
+    fn no_way_is_too_long_where_splits_are_lopsided() {
+        let place = |k: usize| DVec3::splat(1.01f64.powi(k as i32));
+        let boxes: Vec<_> = (0..FEW_ITEMS).map(|k| Bounds::new(place(k), place(k) * 1.001)).collect();
+        let mut items: Vec<_> = (0..).zip(boxes.clone()).map(|(item, bounds)| BoundedItem { bounds, item }).collect();
+        let tree = BinaryTree::new::<false>(&mut items);
+        assert!(tree.n_levels::<false>(tree.root()) > LEVELS);
+        let hierarchy = Hierarchy::over_leaves(boxes.into_par_iter());
+        walk(&hierarchy, hierarchy.root, &mut Vec::new(), &mut |_, way| assert!(way.len() <= LEVELS));
     }
 
     #[test]
