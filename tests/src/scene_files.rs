@@ -14,7 +14,7 @@ use crate::process::Program;
 fn model(folder: &Path) -> PathBuf {
     let path = folder.join("statue.ply");
     let mut command = Program::command("renderer");
-    command.args(["generate", "statue", "--triangles", "150000"]).arg(&path);
+    command.args(["generate", "statue", "--triangles", "180000"]).arg(&path);
     Program::succeed(command);
     path
 }

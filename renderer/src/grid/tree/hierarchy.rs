@@ -33,13 +33,13 @@ pub(crate) const LEAF: Entry = 1 << 31;
 /// The root of no leaves.
 pub(crate) const NONE: Entry = u32::MAX;
 
-/// Most triangles of a scene that affords a hierarchy over them in any case: it takes 150 MB.
+/// Most triangles of a scene that affords a hierarchy over them in any case: it takes 130 MB.
 const FEW_TRIANGLES: usize = 1 << 22;
 
 /// References for each triangle from which larger scenes afford it too: rays take two thirds of the time there.
 const MANY_REFERENCES: f64 = 1.5;
 
-/// Most items whose nodes [`collapse`] finds. With eight times as many, rays take as long, and a job is as large.
+/// Most items whose nodes [`collapse`] finds. With eight times as many, rays take as long.
 const FEW_ITEMS: usize = 4096;
 
 /// Bytes for each triangle while a hierarchy over triangles is built: an item, and its part of nodes that are nearly full.
@@ -48,7 +48,7 @@ const BYTES_PER_TRIANGLE: u64 = 48 + 36;
 /// Up to [`CHILDREN`] boxes.
 ///
 /// Sides in bytes, after Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs"
-/// (2017), would take 19 bytes a triangle less and 1.04 to 1.3 of the time, on the dragon.
+/// (2017), would take 18 bytes a triangle less and 1.04 to 1.3 of the time, on the dragon.
 ///
 /// Children are in slots: a slot's number has a bit for each axis, [`SLOT_BITS`], set for children that lie rather on the
 /// upper side, so a ray meets the slots roughly in the order of their numbers with some bits inverted.

@@ -7,10 +7,10 @@
 use super::{BoundedItem, CHILDREN, Part, Split};
 
 /// What a node costs beside its surface, in mean surfaces of items, so that nodes are full: without it, they take half as much
-/// memory again, and rays pass a twentieth fewer.
+/// memory again, and rays pass up to a twentieth fewer.
 const NODE_COST: f32 = 5.0;
 
-/// Triangles that stay together. To divide them further takes longer, and saves rays a hundredth of their nodes.
+/// Triangles that stay together. To divide them further takes longer, and saves rays up to a hundredth of their nodes.
 const FEWEST_TRIANGLES: usize = 4;
 
 /// A binary tree over items. The children of a node come before it.
