@@ -196,6 +196,7 @@ struct BitWriter<'a> {
 }
 
 impl BitWriter<'_> {
+    /// Appends flags, numbers and bases: see [`FileIndices::units`].
     fn push_window(&mut self, numbers: &[u32], window: &Window) {
         let runs = || runs(numbers, window.widths.number);
         for run in runs() {

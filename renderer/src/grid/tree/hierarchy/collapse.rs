@@ -40,7 +40,9 @@ impl BinaryTree {
     /// Orders items into a tree. With `OF_TRIANGLES`, a node lies over up to [`CHILDREN`] of them.
     pub(super) fn new<const OF_TRIANGLES: bool>(items: &mut [BoundedItem]) -> Self {
         let mean_area = items.iter().map(|item| item.bounds.half_area()).sum::<f32>() / items.len() as f32;
-        let mut tree = Self { nodes: Vec::new(), node_cost: NODE_COST * mean_area };
+        // Where no item has a surface, nodes are still worth saving.
+        let node_cost = (NODE_COST * mean_area).max(f32::MIN_POSITIVE);
+        let mut tree = Self { nodes: Vec::new(), node_cost };
         tree.append::<OF_TRIANGLES>(items, 0, items.len());
         tree
     }
@@ -174,6 +176,14 @@ mod tests {
             let found = tree.cost(tree.root(), tree.kept(tree.root())).unwrap();
             assert!(found <= least * (1.0 + 1e-5), "{n}: {found} instead of {least}");
         }
+    }
+
+    #[test]
+    fn nodes_are_full_where_all_triangles_lie_in_a_point() {
+        let item = |item| BoundedItem { bounds: Bounds::new(DVec3::ZERO, DVec3::ZERO), item };
+        let tree = BinaryTree::new::<true>(&mut (0..256).map(item).collect::<Vec<_>>());
+        let children = tree.children(tree.root());
+        assert!(children.len() == 16 && children.into_iter().all(|child| tree.part(child).n == 16));
     }
 
     #[test]
