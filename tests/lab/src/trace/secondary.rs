@@ -116,8 +116,9 @@ pub fn trace_rays(scene: &Scene, rays: &[Ray], any: bool) -> (Found, Duration) {
         }
         let mut hits = [Hit::MISS; RAYS_PER_CALL];
         scene.grid.intersect_rays(rays, &mut hits);
-        let numbers = hits.iter().filter(|hit| !hit.is_miss()).map(|hit| scene.mesh().file_index(hit.triangle));
-        Found { n_hits: numbers.clone().count(), sum_of_triangles: numbers.fold(0, u32::wrapping_add) }
+        let hits = hits.iter().filter(|hit| !hit.is_miss());
+        let numbers = hits.clone().map(|hit| scene.mesh().file_index(hit.triangle));
+        Found { n_hits: hits.count(), sum_of_triangles: numbers.fold(0, u32::wrapping_add) }
     };
     let of_threads = work_off(rays.chunks(RAYS_PER_CALL), |next| std::iter::from_fn(next).map(call).sum());
     (of_threads.iter().map(|&(found, _): &(Found, _)| found).sum(), of_threads.iter().map(|&(_, cpu)| cpu).sum())
