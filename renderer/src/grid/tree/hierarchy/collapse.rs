@@ -6,7 +6,7 @@
 
 use super::{BoundedItem, CHILDREN, Part, Split};
 
-/// What a node costs beside its surface, in mean surfaces of items, so that nodes are full: without it, they take half as much
+/// Each node costs so many mean surfaces of items beside its own, so that nodes are full: without this, they take half as much
 /// memory again, and rays pass up to a twentieth fewer.
 const NODE_COST: f32 = 5.0;
 
@@ -107,6 +107,7 @@ impl BinaryTree {
         children
     }
 
+    /// Appends the roots of a forest in the place of a node.
     fn push_roots(&self, node: usize, forest: Forest, roots: &mut Vec<usize>) {
         let Some(children) = self.nodes[node].children.filter(|_| forest.n_roots != [0; 2]) else {
             return roots.push(node);
