@@ -34,6 +34,12 @@ pub enum TextProblem {
     Assembly(#[from] AssemblyError),
 }
 
+/// The index equal to `value`, if there is one.
+pub(super) fn index_from_f64(value: f64) -> Option<u32> {
+    let index = value as u32;
+    (f64::from(index) == value).then_some(index)
+}
+
 /// A mesh whose indices are not checked yet.
 #[derive(Default)]
 pub(super) struct MeshBuilder {

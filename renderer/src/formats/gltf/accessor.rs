@@ -112,6 +112,11 @@ impl<'a> Elements<'a> {
         }
     }
 
+    /// Whether an element has the numbers of one of these kinds.
+    pub(super) fn has_numbers_of(&self, kinds: &[Kind]) -> bool {
+        kinds.iter().any(|&kind| n_components(kind) == self.n_components)
+    }
+
     /// Indices that are not in a buffer.
     pub(super) fn from_indices(indices: impl ExactSizeIterator<Item = u32>) -> Self {
         let count = indices.len();
@@ -207,7 +212,7 @@ impl<'a> Elements<'a> {
         self.integer(element, 0)
     }
 
-    /// An integer of an element.
+    /// An integer of an element, as [`Elements::index`]; it has that component.
     #[inline]
     pub(super) fn integer(&self, element: usize, component: usize) -> u32 {
         let at = &self.bytes[element * self.stride + component * self.scalar.n_bytes()..];
@@ -215,6 +220,10 @@ impl<'a> Elements<'a> {
             (Scalar::U8, &[a, ..]) => a.into(),
             (Scalar::U16, &[a, b, ..]) => u16::from_le_bytes([a, b]).into(),
             (Scalar::U32, &[a, b, c, d, ..]) => u32::from_le_bytes([a, b, c, d]),
+            // As Draco gives them.
+            (Scalar::F32, &[a, b, c, d, ..]) => {
+                assembly::index_from_f64(f32::from_le_bytes([a, b, c, d]).into()).unwrap_or(u32::MAX)
+            }
             _ => u32::MAX,
         }
     }

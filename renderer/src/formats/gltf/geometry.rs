@@ -178,7 +178,11 @@ impl<'a> Geometry<'a> {
             if let Some((draco, &number)) = number {
                 let index = primitive.attributes.get(name);
                 let accessor = index.and_then(|&index| self.document.accessors.get(index));
-                return draco.attribute(number, accessor).map(Some);
+                let elements = draco.attribute(number, accessor)?;
+                return match elements.has_numbers_of(kinds) {
+                    true => Ok(Some(elements)),
+                    false => Err(format!("its attribute {number} is of another type than its use needs")),
+                };
             }
             let index = primitive.attributes.get(name);
             index.map(|&index| Elements::new(self.document, self.buffers, index, kinds)).transpose()

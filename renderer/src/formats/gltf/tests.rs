@@ -435,6 +435,33 @@ fn draco_is_read() {
     assert!(damaged.contains("its Draco data is damaged"), "{damaged}");
 }
 
+/// A triangle of which each point follows the second joint, as draco-core 2.3 writes it.
+const DRACO_SKIN: &str = "445241434f02020100000001030100010201030009030000040204000104090400020001000000000000000000000000000000803f00\
+    00000000000000000000000000803f0000000000010100020301400100010000000000010000000000803f00000000000000000000000000\
+    00803f0000000000000000000000000000803f000000000000000000000000";
+
+#[test]
+fn compressed_skeletons_are_shown_at_rest() {
+    let skin = bytes_of(DRACO_SKIN);
+    let skinned = |joints: u32, weights: u32| {
+        let n = skin.len();
+        let more = format!(
+            r#""scenes":[{{"nodes":[0,1,2]}}],"nodes":[{{"mesh":0,"skin":0}},{{}},{{"translation":[0,0,3]}}],"skins":[{{"joints":[1,2]}}],
+            "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"JOINTS_0":1,"WEIGHTS_0":2}},"extensions":{{"KHR_draco_mesh_compression":
+            {{"bufferView":0,"attributes":{{"POSITION":0,"JOINTS_0":{joints},"WEIGHTS_0":{weights}}}}}}}}}]}}],
+            "accessors":[{{"componentType":5126,"count":3,"type":"VEC3"}},{{"componentType":5121,"count":3,"type":"VEC4"}},
+            {{"componentType":5126,"count":3,"type":"VEC4"}}],"bufferViews":[{{"buffer":0,"byteLength":{n}}}],
+            "buffers":[{{"byteLength":{n}}}]"#
+        );
+        parse(&glb(&more, &skin)).unwrap().mesh.vertices
+    };
+    assert_eq!(skinned(1, 2), [[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 1.0, 3.0]]);
+    // Three numbers a point are no joints and no weights.
+    for (joints, weights) in [(0, 2), (1, 0), (0, 0)] {
+        assert_eq!(skinned(joints, weights), [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+    }
+}
+
 #[test]
 fn faults_are_told_in_one_line() {
     let error = |bytes: &[u8]| parse(bytes).unwrap_err().to_string();

@@ -6,10 +6,7 @@ use std::io::BufRead;
 
 use ply_rs::ply::{ElementDef, Property, PropertyAccess, PropertyType, ScalarType};
 
-use crate::formats::{
-    decimal::Decimal,
-    ply::{ENDS_HERE, element::index_from_f64},
-};
+use crate::formats::{assembly::index_from_f64, decimal::Decimal, ply::ENDS_HERE};
 
 pub(super) struct Rows<'a, R> {
     reader: &'a mut R,

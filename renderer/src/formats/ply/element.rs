@@ -3,6 +3,8 @@
 use glam::DVec3;
 use ply_rs::ply::{BeginList, Property, PropertyAccess, PropertyAccessResult};
 
+use crate::formats::assembly::index_from_f64;
+
 pub(super) struct Skipped;
 
 impl PropertyAccess for Skipped {
@@ -128,12 +130,6 @@ impl Corners {
         };
         PropertyAccessResult::Set
     }
-}
-
-/// The index equal to `value`, if there is one.
-pub(super) fn index_from_f64(value: f64) -> Option<u32> {
-    let index = value as u32;
-    (f64::from(index) == value).then_some(index)
 }
 
 fn indices<T>(list: Vec<T>, index: impl Fn(T) -> Option<u32>) -> Vec<u32> {

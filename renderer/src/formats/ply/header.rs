@@ -265,7 +265,8 @@ impl<'a, R: BufRead> Lines<'a, R> {
 
     fn next(&mut self) -> Result<String, Problem> {
         let mut line = Vec::new();
-        let n = self.reader.take(MAX_HEADER_BYTES - self.n_bytes).read_until(self.line_end, &mut line)? as u64;
+        let n = self.reader.take(MAX_HEADER_BYTES.saturating_sub(self.n_bytes)).read_until(self.line_end, &mut line)?
+            as u64;
         self.n_bytes += n;
         let text = String::from_utf8_lossy(&line).trim().to_owned();
         if line.last() == Some(&self.line_end) || text == "end_header" {

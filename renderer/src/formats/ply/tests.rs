@@ -300,6 +300,9 @@ fn headers_without_end_are_given_up() {
     let mut endless = b"ply\ncomment ".to_vec();
     endless.resize(3 << 20, b'x');
     assert_eq!(error_text(endless), "has no line `end_header` in its first 1024 KB");
+    // As much as a header may have, before the first line ends.
+    let blank = format!("ply{}\r\nformat ascii 1.0\nend_header\n", " ".repeat((1 << 20) - 4));
+    assert_eq!(error_text(blank.as_bytes()), "has no line `end_header` in its first 1024 KB");
 }
 
 #[test]

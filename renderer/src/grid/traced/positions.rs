@@ -200,12 +200,12 @@ impl Positions {
 
     /// Checks that the bytes are whole vertices.
     pub(super) fn check_sizes(&self) -> Result<(), Damage> {
-        let (is_sound, stride) = match &self.form {
+        let stride = match &self.form {
             Form::Floats => return expect(!self.floats.is_empty() && self.bytes.is_empty(), "vertices"),
-            Form::Packed(scale) => (scale.is_sound(), POINT),
-            Form::Lattice(lattice) => (lattice.is_sound(), stride(lattice)),
+            Form::Packed(scale) => scale.is_sound().then_some(POINT),
+            Form::Lattice(lattice) => lattice.is_sound().then(|| stride(lattice)),
         };
-        expect(is_sound && self.floats.is_empty(), "vertices")?;
+        let stride = stride.filter(|_| self.floats.is_empty()).ok_or(Damage::Content("vertices"))?;
         let n_bytes = self.bytes.len().checked_sub(LOADED);
         expect(n_bytes.is_some_and(|n_bytes| n_bytes.is_multiple_of(stride)), "vertices")
     }
@@ -252,6 +252,17 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_lattice_without_bits_is_damage() {
+        let mesh = statue::generate(100, &|_| ()).snapped(16.try_into().unwrap());
+        let positions = Positions::new(&mesh.vertices, mesh.lattice, &[(0..mesh.vertices.len() as u32).collect()]);
+        let whole = serde_json::to_string(&positions).unwrap();
+        let without_bits = whole.replace("\"precision\":16", "\"precision\":0");
+        assert_ne!(without_bits, whole);
+        let damaged: Positions = serde_json::from_str(&without_bits).unwrap();
+        assert!(Positions { bytes: positions.bytes, ..damaged }.check_sizes().is_err());
     }
 
     #[test]
