@@ -22,8 +22,10 @@ pub(crate) trait Real: Copy {
     fn splat(x: f64) -> Self;
     /// Loads the first [`Real::LANES`] numbers of a slice as doubles.
     fn load(from: &[f32]) -> Self;
-    /// Writes all lanes to the beginning of an array.
-    fn store(self, to: &mut [f64; 8]);
+    /// Writes all lanes to the beginning of a slice.
+    fn store(self, to: &mut [f64]);
+    /// The same, each rounded to the nearest `f32`.
+    fn store_rounded(self, to: &mut [f32]);
     fn add(self, other: Self) -> Self;
     fn sub(self, other: Self) -> Self;
     fn mul(self, other: Self) -> Self;
@@ -51,7 +53,8 @@ macro_rules! methods {
 impl Real for f64 {
     const LANES: usize = 1;
     methods! {
-        fn store(self, to: &mut [f64; 8]) -> () = to[0] = self;
+        fn store(self, to: &mut [f64]) -> () = to[0] = self;
+        fn store_rounded(self, to: &mut [f32]) -> () = to[0] = self as f32;
         fn splat(x: f64) -> Self = x;
         fn load(from: &[f32]) -> Self = f64::from(from[0]);
         fn add(self, other: Self) -> Self = self + other;
@@ -134,6 +137,8 @@ pub(crate) trait Simd: Copy {
     fn splat(x: f32) -> Self;
     /// Loads the first [`Simd::LANES`] numbers of a slice.
     fn load(from: &[f32]) -> Self;
+    /// Loads the columns of the first [`Simd::LANES`] rows, a row a lane; the last row fills lanes beyond it. There must be one.
+    fn load_columns(rows: &[[f32; 8]]) -> [Self; 8];
     /// Loads [`Simd::LANES`] numbers, converted to `f32`, without a check: with checks, rays that go alone take a fifth more
     /// instructions.
     ///
@@ -266,6 +271,16 @@ impl Simd for Portable {
     fn select(mask: u32, yes: Self, no: Self) -> Self {
         // Bits are tested in place and all lanes are written, so that the compiler vectorises it.
         Self(std::array::from_fn(|lane| if mask & 1 << lane != 0 { yes.0[lane] } else { no.0[lane] }))
+    }
+    #[inline(always)]
+    fn load_columns(rows: &[[f32; 8]]) -> [Self; 8] {
+        let mut columns = [Self([0.0; 8]); 8];
+        for lane in 0..8 {
+            for column in 0..8 {
+                columns[column].0[lane] = rows[lane.min(rows.len() - 1)][column];
+            }
+        }
+        columns
     }
     #[inline(always)]
     unsafe fn load_bytes_at(from: *const u8) -> Self {

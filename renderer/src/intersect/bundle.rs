@@ -141,12 +141,17 @@ impl<'a> Bundle<'a> {
         let RayLanes { origins, slopes, intervals, .. } = &mut self.lanes;
         let [k, u, v] = self.axes;
         let sign = 1f32.copysign(self.rays[0].direction[k]);
-        let mut along = [0.0; MOST_RAYS];
-        for lane in 0..MOST_RAYS {
-            let Ray { origin, direction, t_min, t_max } = self.rays[lane.min(self.rays.len() - 1)];
-            (origins[0][lane], origins[1][lane], origins[2][lane]) = (origin[k], origin[u], origin[v]);
-            (along[lane], slopes[0][lane], slopes[1][lane]) = (direction[k] * sign, direction[u], direction[v]);
-            (intervals[0][lane], intervals[1][lane]) = (t_min, t_max);
+        let (mut along, rows): (_, &[[f32; 8]]) = ([0.0; MOST_RAYS], bytemuck::cast_slice(self.rays));
+        for lane in (0..MOST_RAYS).step_by(S::LANES) {
+            let columns = S::load_columns(&rows[lane.min(rows.len() - 1)..]);
+            for axis in 0..3 {
+                columns[self.axes[axis]].store(&mut origins[axis][lane..]);
+            }
+            columns[3 + k].mul(S::splat(sign)).store(&mut along[lane..]);
+            columns[3 + u].store(&mut slopes[0][lane..]);
+            columns[3 + v].store(&mut slopes[1][lane..]);
+            columns[6].store(&mut intervals[0][lane..]);
+            columns[7].store(&mut intervals[1][lane..]);
         }
 
         // Compute slopes. Rays with an empty interval miss; those that are not finite go alone.

@@ -67,11 +67,11 @@ impl Descent {
         for axis in 0..3 {
             let step = starts.s_step[axis][lane];
             self.ahead |= if step < 0.0 { 0 } else { SLOT_BITS[axis] };
-            self.slabs.step[axis] = step as f32;
-            self.slabs.near[axis] = starts.s_near[axis][lane] as f32;
-            self.slabs.far[axis] = starts.s_far[axis][lane] as f32;
+            self.slabs.step[axis] = step;
+            self.slabs.near[axis] = starts.s_near[axis][lane];
+            self.slabs.far[axis] = starts.s_far[axis][lane];
         }
-        self.s_range = [down(starts.s_start[lane] as f32), up(starts.s_end[lane] as f32)];
+        self.s_range = [starts.s_start[lane], starts.s_end[lane]];
         (self.t_base, self.s_per_t) = (starts.t_base[lane], starts.s_per_t[lane]);
         self.s_slack = starts.s_slack[lane];
 
@@ -236,10 +236,4 @@ pub(super) struct GroupSlabs<T>(pub(super) [T; 9]);
 #[inline(always)]
 fn up(x: f32) -> f32 {
     x + x.abs() * f32::EPSILON + f32::MIN_POSITIVE
-}
-
-/// The next smaller number, or one a little smaller.
-#[inline(always)]
-fn down(x: f32) -> f32 {
-    x - x.abs() * f32::EPSILON - f32::MIN_POSITIVE
 }

@@ -1,11 +1,13 @@
 //! A ray and its hit.
 
+use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 /// A ray in model space: the points `origin + t·direction` with t in `t_min..=t_max`.
 ///
 /// The direction is not normalised.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
 pub struct Ray {
     /// Point at t = 0.
     pub origin: Vec3,

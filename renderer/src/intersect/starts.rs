@@ -9,7 +9,7 @@ use crate::{
         ray::Ray,
         triangle::Vector,
     },
-    simd::Real,
+    simd::{Real, Simd},
 };
 
 /// Rounding errors of positions and distances in a grid, relative to its extent: ten roundings of `f32`.
@@ -25,7 +25,7 @@ const STEEPEST: f64 = 1e12;
 /// In place of an infinite inverse: finite products with any position, and beyond all inverses of components that are not 0.
 const INFINITE: f64 = 1e290;
 
-/// Up to eight rays, a lane each.
+/// Up to sixteen rays, a lane each.
 ///
 /// A ray's parameter s counts finest cells along its major axis, from the point where it enters the grid.
 #[derive(Clone, Copy, Default)]
@@ -35,69 +35,79 @@ pub(super) struct RayStarts {
     /// A bit for each ray that [`RayStarts::of_far_ray`] must prepare.
     pub(super) far: u32,
     /// s where the position along each axis is 0, with a margin to either side, and s over a unit of the position.
-    pub(super) s_near: [[f64; 8]; 3],
-    pub(super) s_far: [[f64; 8]; 3],
-    pub(super) s_step: [[f64; 8]; 3],
-    /// The ray's interval.
-    pub(super) s_start: [f64; 8],
-    pub(super) s_end: [f64; 8],
+    pub(super) s_near: [[f32; 16]; 3],
+    pub(super) s_far: [[f32; 16]; 3],
+    pub(super) s_step: [[f32; 16]; 3],
+    /// The ray's interval, rounded outward.
+    pub(super) s_start: [f32; 16],
+    pub(super) s_end: [f32; 16],
     /// t where s is 0, units of s in one of t, and the rounding error of s.
-    pub(super) t_base: [f64; 8],
-    pub(super) s_per_t: [f64; 8],
-    pub(super) s_slack: [f64; 8],
+    pub(super) t_base: [f64; 16],
+    pub(super) s_per_t: [f64; 16],
+    pub(super) s_slack: [f64; 16],
 }
 
 impl RayStarts {
-    /// The first of some rays, [`Real::LANES`] of them, in a grid that extends over so many finest cells.
+    /// The first of some rays, [`Simd::LANES`] of them, in a grid that extends over so many finest cells.
     #[inline(always)]
-    pub(super) fn new<R: Real>(space: &CellSpace, extent: [u32; 3], rays: &[Ray]) -> Self {
-        let mut numbers = [[0.0; 8]; 8];
-        for (lane, ray) in rays.iter().take(R::LANES).enumerate() {
-            let of_ray = [ray.origin.to_array(), ray.direction.to_array(), [ray.t_min, ray.t_max, 0.0]];
-            for (number, of_ray) in of_ray.into_iter().flatten().take(8).enumerate() {
-                numbers[number][lane] = of_ray;
-            }
+    pub(super) fn new<S: Simd>(space: &CellSpace, extent: [u32; 3], rays: &[Ray]) -> Self {
+        let columns = S::load_columns(bytemuck::cast_slice(rays));
+        let mut numbers = [[0.0; 16]; 8];
+        for number in 0..8 {
+            columns[number].store(&mut numbers[number]);
         }
-
-        // Convert to finest cells.
-        let cells_per_unit = R::splat(space.cells_per_unit);
-        let (mut origin, mut direction) = ([cells_per_unit; 3], [cells_per_unit; 3]);
-        for axis in 0..3 {
-            let low = R::splat(f64::from(space.origin[axis]));
-            origin[axis] = R::load(&numbers[axis]).sub(low).mul(cells_per_unit);
-            direction[axis] = R::load(&numbers[3 + axis]).mul(cells_per_unit);
+        let mut starts = Self::default();
+        for first in (0..S::LANES.min(rays.len())).step_by(S::Double::LANES) {
+            starts.prepare_near::<S::Double>(space, extent, &numbers, first);
         }
-
-        // Rays that are far away, or not finite, are rare.
-        let all = (1 << R::LANES.min(rays.len())) - 1;
-        let mut near = all;
-        for axis in 0..3 {
-            near &=
-                origin[axis].abs().le(R::splat(FARTHEST_ORIGIN)) & direction[axis].abs().lt(R::splat(f64::INFINITY));
-        }
-        let (zero, t_range) = (R::splat(0.0), [R::load(&numbers[6]), R::load(&numbers[7])]);
-        let starts = Self::of_lanes(extent, origin, direction, t_range, [zero, zero]);
-        Self { meeting: starts.meeting & near, far: all & !near, ..starts }
+        starts
     }
 
     /// A ray that comes from far away, or is not finite, in the first lane.
     #[cold]
     pub(super) fn of_far_ray(space: &CellSpace, extent: [u32; 3], ray: &Ray) -> Self {
-        let Some(grid_ray) = GridRay::new(space, ray, extent.map(|n| n as i32)) else { return Self::default() };
-        let GridRay { origin, direction, t_base, t_slack } = grid_ray;
-        let t_range = [f64::from(ray.t_min), f64::from(ray.t_max)];
-        Self::of_lanes(extent, origin, direction, t_range, [t_base, t_slack])
+        let mut starts = Self::default();
+        if let Some(grid_ray) = GridRay::new(space, ray, extent.map(|n| n as i32)) {
+            let GridRay { origin, direction, t_base, t_slack } = grid_ray;
+            let t_range = [f64::from(ray.t_min), f64::from(ray.t_max)];
+            starts.prepare(extent, origin, direction, t_range, [t_base, t_slack], 0);
+        }
+        starts
     }
 
-    /// Rays in finest cells, each with t at its origin and the rounding error of t.
+    /// Prepares rays from lane `first` on that are near and finite, as most are; `numbers` are those of [`Ray`] in their order.
     #[inline(always)]
-    fn of_lanes<R: Real>(
+    fn prepare_near<R: Real>(&mut self, space: &CellSpace, extent: [u32; 3], numbers: &[[f32; 16]; 8], first: usize) {
+        // Convert to finest cells.
+        let cells_per_unit = R::splat(space.cells_per_unit);
+        let (mut origin, mut direction) = ([cells_per_unit; 3], [cells_per_unit; 3]);
+        let mut near = (1 << R::LANES) - 1;
+        for axis in 0..3 {
+            let low = R::splat(f64::from(space.origin[axis]));
+            origin[axis] = R::load(&numbers[axis][first..]).sub(low).mul(cells_per_unit);
+            direction[axis] = R::load(&numbers[3 + axis][first..]).mul(cells_per_unit);
+            near &=
+                origin[axis].abs().le(R::splat(FARTHEST_ORIGIN)) & direction[axis].abs().lt(R::splat(f64::INFINITY));
+        }
+
+        let (zero, t_range) = (R::splat(0.0), [R::load(&numbers[6][first..]), R::load(&numbers[7][first..])]);
+        self.prepare(extent, origin, direction, t_range, [zero, zero], first);
+        let far = (!near & ((1 << R::LANES) - 1)) << first;
+        self.far |= far;
+        self.meeting &= !far;
+    }
+
+    /// Prepares rays in finest cells, from lane `first` on, each with t at its origin and the rounding error of t.
+    #[inline(always)]
+    fn prepare<R: Real>(
+        &mut self,
         extent: [u32; 3],
         origin: Vector<R>,
         direction: Vector<R>,
         [t_min, t_max]: [R; 2],
         [t_base, t_slack]: [R; 2],
-    ) -> Self {
+        first: usize,
+    ) {
         // Clip the rays to the grid's bounds, enlarged as its cells are. Along an axis of no motion, both sides are infinitely
         // far away: behind and ahead of rays between them, else both on one side.
         let mut t_enter = t_min.sub(t_base).sub(t_slack);
@@ -114,26 +124,27 @@ impl RayStarts {
             t_end = to_low.max(to_high).min(t_end);
             s_per_t = s_per_t.max(direction[axis].abs());
         }
-        let meeting = t_enter.le(t_end) & R::splat(0.0).lt(s_per_t);
+        self.meeting |= (t_enter.le(t_end) & R::splat(0.0).lt(s_per_t)) << first;
 
         // Let s count from the point where rays enter the grid.
-        let mut starts = Self { meeting, ..Self::default() };
         let (t_base, s_slack) = (t_base.add(t_enter), t_slack.mul(s_per_t));
-        t_min.sub(t_base).mul(s_per_t).sub(s_slack).store(&mut starts.s_start);
-        t_end.sub(t_enter).mul(s_per_t).store(&mut starts.s_end);
-        t_base.store(&mut starts.t_base);
-        s_per_t.store(&mut starts.s_per_t);
-        s_slack.store(&mut starts.s_slack);
+        let (outward, least) = (R::splat(f64::from(f32::EPSILON)), R::splat(f64::from(f32::MIN_POSITIVE)));
+        let s_start = t_min.sub(t_base).mul(s_per_t).sub(s_slack);
+        let s_end = t_end.sub(t_enter).mul(s_per_t);
+        s_start.sub(s_start.abs().mul(outward)).sub(least).store_rounded(&mut self.s_start[first..]);
+        s_end.add(s_end.abs().mul(outward)).add(least).store_rounded(&mut self.s_end[first..]);
+        t_base.store(&mut self.t_base[first..]);
+        s_per_t.store(&mut self.s_per_t[first..]);
+        s_slack.store(&mut self.s_slack[first..]);
 
         // Prepare the slabs of positions in the grid.
         for axis in 0..3 {
             let step = inverse[axis].mul(s_per_t).min(R::splat(STEEPEST)).max(R::splat(-STEEPEST));
             let s_zero = origin[axis].add(t_enter.mul(direction[axis])).mul(step);
             let margin = step.abs().mul(R::splat(f64::from(extent[axis]) * RELATIVE_MARGIN + MARGIN));
-            R::splat(0.0).sub(s_zero).sub(margin).store(&mut starts.s_near[axis]);
-            margin.sub(s_zero).store(&mut starts.s_far[axis]);
-            step.store(&mut starts.s_step[axis]);
+            R::splat(0.0).sub(s_zero).sub(margin).store_rounded(&mut self.s_near[axis][first..]);
+            margin.sub(s_zero).store_rounded(&mut self.s_far[axis][first..]);
+            step.store_rounded(&mut self.s_step[axis][first..]);
         }
-        starts
     }
 }

@@ -307,10 +307,10 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
     #[inline(always)]
     fn begin_ray<S: Simd>(&mut self, slot: u32) {
         let slot_idx = slot as usize % N_SLOTS;
-        let lane = self.next_ray % S::Double::LANES;
+        let lane = self.next_ray % S::LANES;
         let (space, extent) = (&self.grid.space, self.tree.extent);
         if lane == 0 {
-            self.state.starts = RayStarts::new::<S::Double>(space, extent, &self.rays[self.next_ray..]);
+            self.state.starts = RayStarts::new::<S>(space, extent, &self.rays[self.next_ray..]);
         }
         let ray = &self.rays[self.next_ray];
         let begun = &mut self.state.slots[slot_idx];

@@ -33,6 +33,32 @@ impl Kernel for MovesLanes {
     }
 }
 
+/// Loads the columns of few and many rows.
+struct LoadsColumns;
+
+impl Kernel for LoadsColumns {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self) {
+        let rows: [[f32; 8]; 20] = std::array::from_fn(|row| std::array::from_fn(|column| (8 * row + column) as f32));
+        for n in 1..=rows.len() {
+            let mut lanes = [0.0; 16];
+            for (column, of_column) in S::load_columns(&rows[..n]).into_iter().enumerate() {
+                of_column.store(&mut lanes);
+                assert!((0..S::LANES).all(|lane| lanes[lane] == rows[lane.min(n - 1)][column]), "{n} {column}");
+            }
+        }
+    }
+}
+
+#[test]
+fn columns_load_alike_on_every_instruction_set() {
+    for instructions in InstructionSet::available() {
+        // SAFETY: they are available.
+        unsafe { instructions.call(LoadsColumns) };
+    }
+}
+
 /// Loads every byte, whole and in halves, and compares with conversions of numbers.
 struct LoadsBytes;
 

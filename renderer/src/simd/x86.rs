@@ -145,6 +145,24 @@ impl Simd for Avx2 {
     type Double = Avx2Double;
     call_with_features!(Avx2, "avx2,fma,bmi1,bmi2,popcnt,lzcnt");
     #[inline(always)]
+    fn load_columns(rows: &[[f32; 8]]) -> [Self; 8] {
+        // SAFETY: as above.
+        unsafe {
+            let mut of_rows = [[_mm256_setzero_ps(); 4]; 2];
+            for row in 0..8 {
+                of_rows[row / 4][row % 4] = _mm256_loadu_ps(rows[row.min(rows.len() - 1)].as_ptr());
+            }
+            // Columns 0 to 3 lie in the lower halves, the others in the upper ones.
+            let (first, last) = (transposed_256(of_rows[0]), transposed_256(of_rows[1]));
+            let mut columns = [Self(_mm256_setzero_ps()); 8];
+            for column in 0..4 {
+                columns[column].0 = _mm256_permute2f128_ps::<0x20>(first[column], last[column]);
+                columns[column + 4].0 = _mm256_permute2f128_ps::<0x31>(first[column], last[column]);
+            }
+            columns
+        }
+    }
+    #[inline(always)]
     unsafe fn load_bytes_at(from: *const u8) -> Self {
         // SAFETY: as above, and the caller's.
         unsafe { Self(_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64(from.cast())))) }
@@ -302,7 +320,9 @@ impl Simd for Avx2 {
 impl Real for Avx2Double {
     const LANES: usize = 4;
     intrinsics! {
-        fn store(self, to: &mut [f64; 8]) -> () = _mm256_storeu_pd(to.as_mut_ptr(), self.0);
+        fn store(self, to: &mut [f64]) -> () = _mm256_storeu_pd(first_mut::<4, _>(to).as_mut_ptr(), self.0);
+        fn store_rounded(self, to: &mut [f32]) -> () =
+            _mm_storeu_ps(first_mut::<4, _>(to).as_mut_ptr(), _mm256_cvtpd_ps(self.0));
         fn splat(x: f64) -> Self = Self(_mm256_set1_pd(x));
         fn load(from: &[f32]) -> Self = Self(_mm256_cvtps_pd(_mm_loadu_ps(first::<4, _>(from).as_ptr())));
         fn add(self, other: Self) -> Self = Self(_mm256_add_pd(self.0, other.0));
@@ -321,6 +341,29 @@ impl Simd for Avx512 {
     const LANES: usize = 16;
     type Double = Avx512Double;
     call_with_features!(Avx512, "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt");
+    #[inline(always)]
+    fn load_columns(rows: &[[f32; 8]]) -> [Self; 8] {
+        // SAFETY: as above.
+        unsafe {
+            let mut of_rows = [[_mm512_setzero_ps(); 4]; 2];
+            for row in 0..8 {
+                // Rows that lie four apart share a vector.
+                let (half, row) = (row / 4, row % 4);
+                let low = _mm256_loadu_ps(rows[(8 * half + row).min(rows.len() - 1)].as_ptr());
+                let high = _mm256_loadu_ps(rows[(8 * half + row + 4).min(rows.len() - 1)].as_ptr());
+                let (low, high) = (_mm512_castps_pd(_mm512_castps256_ps512(low)), _mm256_castps_pd(high));
+                of_rows[half][row] = _mm512_castpd_ps(_mm512_insertf64x4::<1>(low, high));
+            }
+            // Columns 0 to 3 lie in the even quarters, the others in the odd ones.
+            let (first, last) = (transposed_512(of_rows[0]), transposed_512(of_rows[1]));
+            let mut columns = [Self(_mm512_setzero_ps()); 8];
+            for column in 0..4 {
+                columns[column].0 = _mm512_shuffle_f32x4::<0x88>(first[column], last[column]);
+                columns[column + 4].0 = _mm512_shuffle_f32x4::<0xdd>(first[column], last[column]);
+            }
+            columns
+        }
+    }
     #[inline(always)]
     unsafe fn load_bytes_at(from: *const u8) -> Self {
         // SAFETY: as above, and the caller's.
@@ -468,7 +511,9 @@ impl Simd for Avx512 {
 impl Real for Avx512Double {
     const LANES: usize = 8;
     intrinsics! {
-        fn store(self, to: &mut [f64; 8]) -> () = _mm512_storeu_pd(to.as_mut_ptr(), self.0);
+        fn store(self, to: &mut [f64]) -> () = _mm512_storeu_pd(first_mut::<8, _>(to).as_mut_ptr(), self.0);
+        fn store_rounded(self, to: &mut [f32]) -> () =
+            _mm256_storeu_ps(first_mut::<8, _>(to).as_mut_ptr(), _mm512_cvtpd_ps(self.0));
         fn splat(x: f64) -> Self = Self(_mm512_set1_pd(x));
         fn load(from: &[f32]) -> Self = Self(_mm512_cvtps_pd(_mm256_loadu_ps(first::<8, _>(from).as_ptr())));
         fn add(self, other: Self) -> Self = Self(_mm512_add_pd(self.0, other.0));
