@@ -11,7 +11,7 @@ use crate::{
     cli::{
         between, check_writable,
         large_file::warn_of_large_file,
-        picture_args::{ModelArgs, with_ending},
+        picture_args::{TreatmentArgs, with_ending},
         progress::Progress,
         say,
         scene_args::SceneArgs,
@@ -24,8 +24,9 @@ use crate::{
 /// The model, and the file to write.
 #[derive(Debug, clap::Args)]
 pub struct BuildArgs {
-    #[command(flatten)]
-    model: ModelArgs,
+    /// The model's file: PLY, OBJ, STL, glTF or GLB
+    #[arg(value_name = "MODEL")]
+    model: PathBuf,
 
     /// The scene file to write, .raywall; an old one is replaced only when the new one is complete
     #[arg(value_name = "FILE.raywall",
@@ -37,25 +38,26 @@ pub struct BuildArgs {
     threads: Option<u16>,
 
     #[command(flatten)]
+    treatment: TreatmentArgs,
+
+    #[command(flatten)]
     scene: SceneArgs,
 }
 
 /// Builds the scene, writes it, and prints what it holds.
-pub fn run(BuildArgs { model, out, threads, scene }: &BuildArgs) -> Result<()> {
-    let source = model.source();
-    if let SceneSource::File(path) = &source {
-        ensure!(
-            !files::are_one_file(path, out),
-            "{} is the model itself, which the scene would replace: name another file",
-            out.display()
-        );
-    }
+pub fn run(BuildArgs { model, out, threads, treatment, scene }: &BuildArgs) -> Result<()> {
+    ensure!(
+        !files::are_one_file(model, out),
+        "{} is the model itself, which the scene would replace: name another file",
+        out.display()
+    );
+    let source = SceneSource::File(model.clone());
     check_writable(out)?;
     threads::pool(threads.map(usize::from))?.install(|| {
         let options = scene.options();
         warn_of_large_file(&source, 1);
         let progress = Progress::new(format!("loading {source}"));
-        let built = store::build_file(&source, model.treatment(), &options, out, &|stage, done| {
+        let built = store::build_file(&source, treatment.treatment(), &options, out, &|stage, done| {
             progress.report(stage, &source, done);
         });
         let (info, n_bytes) = built.with_context(|| format!("cannot build {}", out.display()))?;

@@ -46,6 +46,13 @@ pub struct ModelArgs {
         value_parser = between(100..=SceneId::LARGEST_STATUE))]
     pub triangles: u32,
 
+    #[command(flatten)]
+    treatment: TreatmentArgs,
+}
+
+/// The surface.
+#[derive(Clone, Debug, clap::Args)]
+pub struct TreatmentArgs {
     /// Angle between triangles, in degrees, up to which a model without normals is smooth; 0 shows each triangle flat
     #[arg(long, value_name = "DEGREES", default_value_t = Crease::default(), allow_hyphen_values = true)]
     crease: Crease,
@@ -55,9 +62,16 @@ pub struct ModelArgs {
     geometry: Precision,
 }
 
+impl TreatmentArgs {
+    /// How a model's surface is made.
+    pub fn treatment(&self) -> Treatment {
+        Treatment { crease: self.crease, precision: self.geometry }
+    }
+}
+
 /// The warning about a picture without anything but its background.
-pub const SHOWS_NOTHING: &str =
-    "the picture shows nothing of the model: leave --camera, --path and --clip out to see all of it";
+pub const SHOWS_NOTHING: &str = "the picture shows nothing of the model: leave --camera, --path and --clip out to see all of it; if none is given, the \
+    model is finer than a sample, which a larger --size shows, or smaller than 1e-36, in which case give it a smaller unit";
 
 /// The axis that points up where nobody chose one, told in the log unless it is the usual.
 pub fn guessed_up(shape: &Shape) -> UpAxis {
@@ -81,7 +95,7 @@ impl ModelArgs {
 
     /// How the model's surface is made.
     pub fn treatment(&self) -> Treatment {
-        Treatment { crease: self.crease, precision: self.geometry }
+        self.treatment.treatment()
     }
 
     /// Loads and treats the model, with a progress bar.

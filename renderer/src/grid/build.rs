@@ -66,21 +66,20 @@ impl Grid {
         let mesh_bytes_in_order = program_bytes + TracedMesh::bytes_in_order(&mesh);
         let most_bytes = options.memory_budget.remaining_beside(mesh_bytes);
         let loaded_bytes = mesh.n_bytes() as u64;
-        // Each cell has a part of the references that the budget allows, so their sum must have room.
         let storage = options.storage;
         let references = storage.is_tree().then(|| choice::references(&mesh, storage, density)).flatten();
-        let enough_bytes = references.map(|n| 2 * n).map(|n| {
-            let in_order = mesh_bytes_in_order + n * (TREE_BYTES_PER_REFERENCE + box_bytes_per_reference(storage));
-            in_order.max(mesh_bytes + n * TREE_BYTES_PER_REFERENCE)
-        });
-        let (grid, is_coarser) = match storage {
+        let (grid, is_coarser, wanted_references) = match storage {
             Storage::Tree | Storage::Compact => {
                 let most_bytes_in_order = options.memory_budget.remaining_beside(mesh_bytes_in_order);
-                Self::tree(mesh, &bounds, storage, density, [most_bytes, most_bytes_in_order], progress)
+                let most_bytes = [most_bytes, most_bytes_in_order];
+                let (grid, wanted) = Self::tree(mesh, &bounds, storage, density, most_bytes, progress);
+                (grid, wanted.is_some(), wanted)
             }
             Storage::Plain | Storage::RowDisplacement => {
                 let n_bytes = TracedMesh::BYTES_PER_TRIANGLE * mesh.triangles.len() as u64;
-                Self::uniform(mesh, &bounds, density, options, most_bytes.saturating_sub(n_bytes))
+                let (grid, is_coarser) =
+                    Self::uniform(mesh, &bounds, density, options, most_bytes.saturating_sub(n_bytes));
+                (grid, is_coarser, None)
             }
         };
 
@@ -91,13 +90,20 @@ impl Grid {
         let budget = options.memory_budget;
         let needed_bytes = budget.is_exceeded_by(all_bytes).then_some(all_bytes);
         let is_short = is_coarser || needed_bytes.is_some();
+        // Each cell has a part of the references that the budget allows, so their sum must have room. Where many lie in few
+        // cells that is too little, and so many as no cell wants more are enough.
+        let enough_bytes = [references.map(|n| 2 * n), wanted_references].into_iter().flatten().map(|n| {
+            let in_order = mesh_bytes_in_order + n * (TREE_BYTES_PER_REFERENCE + box_bytes_per_reference(storage));
+            in_order.max(mesh_bytes + n * TREE_BYTES_PER_REFERENCE)
+        });
+        let enough_bytes = enough_bytes.filter(|&n_bytes| budget.is_exceeded_by(n_bytes)).min();
         let enough = if is_coarser { enough_bytes } else { needed_bytes }.map(MemoryBudget::of_at_least);
         let shortage = is_short.then_some(MemoryShortage { budget, is_coarser, enough, needed_bytes });
         Self { shortage, is_limited: is_coarser || grid.is_limited, ..grid }
     }
 
-    /// Builds a tree, of at most so many bytes beside the mesh as loaded, and beside the mesh in the tree's order. Returns true,
-    /// second, if cells stay undivided to save memory.
+    /// Builds a tree, of at most so many bytes beside the mesh as loaded, and beside the mesh in the tree's order. Returns,
+    /// second, how many references it may want if cells stay undivided to save memory.
     fn tree(
         mesh: Mesh,
         bounds: &Aabb,
@@ -105,7 +111,7 @@ impl Grid {
         density: f64,
         [most_bytes, most_bytes_in_order]: [u64; 2],
         progress: &(dyn Fn(f32) + Sync),
-    ) -> (Self, bool) {
+    ) -> (Self, Option<u64>) {
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
         let [min, max] = bounds.corners();
         let (cells, cell_size) = resolution(max - min, n_triangles, density);
@@ -140,9 +146,9 @@ impl Grid {
 
         // Limit the references: small scenes can afford more a triangle, and large triangles need them.
         let wanted_references = ((1 << 24) / n_triangles as u64).clamp(6, 64) * references.len() as u64;
+        let wanted_references = wanted_references.min(u64::from(u32::MAX));
         let affordable_references = (most_bytes / TREE_BYTES_PER_REFERENCE)
-            .min(most_bytes_in_order / (TREE_BYTES_PER_REFERENCE + box_bytes_per_reference(storage)))
-            .min(u64::from(u32::MAX));
+            .min(most_bytes_in_order / (TREE_BYTES_PER_REFERENCE + box_bytes_per_reference(storage)));
 
         // Divide the bricks into a tree.
         let builder = Builder {
@@ -154,7 +160,7 @@ impl Grid {
             hit_memory_limit: AtomicBool::default(),
         };
         let (bricks, part) = builder.divide(&starts, references, &|done| progress(0.3 + 0.6 * done));
-        let is_coarser = builder.hit_memory_limit.into_inner();
+        let wanted_references = builder.hit_memory_limit.into_inner().then_some(wanted_references);
 
         // Order the mesh by the tree, which drops the loaded mesh, and measure the boxes.
         let TreePart { nodes, leaf_ends: mut leaf_starts, references } = part;
@@ -189,7 +195,7 @@ impl Grid {
         } else {
             tree.hierarchy_over_leaves()
         };
-        (Self { space, structure: Structure::Tree(tree), density, is_limited, ..Self::empty(mesh) }, is_coarser)
+        (Self { space, structure: Structure::Tree(tree), density, is_limited, ..Self::empty(mesh) }, wanted_references)
     }
 
     /// Builds the paper's uniform grid. Returns true, second, if it is coarser to save memory.

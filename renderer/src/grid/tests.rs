@@ -7,7 +7,7 @@ use glam::Vec3;
 use proptest::prelude::*;
 use strum::VariantArray;
 
-use super::{Grid, GridOptions, Storage, Structure, build::PROGRAM_BYTES, tree::overlap::DILATION};
+use super::{Grid, GridOptions, MemoryBudget, Storage, Structure, build::PROGRAM_BYTES, tree::overlap::DILATION};
 use crate::{
     grid::{cells::CellStructure, traced::TracedMesh},
     intersect::ray::{Hit, Ray},
@@ -348,6 +348,39 @@ fn a_grid_stays_within_its_memory_and_hits_the_same() {
             }
         }
     }
+}
+
+#[test]
+fn whoever_follows_the_advice_on_a_budget_has_a_whole_grid() {
+    // A globe: thin triangles meet at its poles, so few cells want most of the references.
+    let (n_around, n_up) = (400, 60);
+    let point = |around: usize, up: usize| {
+        let [longitude, latitude] = [around * 2, up].map(|n| n as f32 * std::f32::consts::PI);
+        let (longitude, latitude) = (longitude / n_around as f32, latitude / n_up as f32);
+        [latitude.sin() * longitude.cos(), latitude.sin() * longitude.sin(), latitude.cos()]
+    };
+    let quads = (0..n_around).flat_map(|around| (0..n_up).map(move |up| (around, up)));
+    let globe = soup(
+        quads
+            .flat_map(|(around, up)| {
+                let [a, b] = [point(around, up), point(around + 1, up)];
+                let [c, d] = [point(around, up + 1), point(around + 1, up + 1)];
+                [[a, b, c], [b, d, c]]
+            })
+            .collect(),
+    );
+    let mut memory_budget = MemoryBudget::of_at_least(PROGRAM_BYTES + TracedMesh::peak_bytes(&globe) + 300_000);
+    let shortage = |memory_budget| {
+        let options = GridOptions { memory_budget, ..GridOptions::default() };
+        Grid::build(globe.clone(), &options, &|_| ()).shortage()
+    };
+    let mut n_steps = 0;
+    while let Some(shortage) = shortage(memory_budget) {
+        let enough = shortage.enough.expect("a budget is known");
+        assert!(memory_budget < enough && n_steps < 2, "{shortage}");
+        (memory_budget, n_steps) = (enough, n_steps + 1);
+    }
+    assert!(n_steps > 0, "the first budget is enough");
 }
 
 #[test]

@@ -84,8 +84,8 @@ impl Mesh {
     /// Replaces a triangle with an index out of range, or a vertex that is not [usable](Mesh::is_usable).
     pub const REJECTED: [u32; 3] = [u32::MAX; 3];
 
-    /// Limit of coordinates: products of larger ones with rays would overflow `f32` (Embree's limit).
-    pub const LARGEST_COORDINATE: f32 = 1.844e18;
+    /// Limit of coordinates: a camera that sees the whole model is nearer than 10¹⁸, beyond which products would overflow `f32`.
+    pub const LARGEST_COORDINATE: f32 = 1e17;
 
     /// Whether a triangle with a vertex at this position can be traced.
     pub fn is_usable(position: [f32; 3]) -> bool {

@@ -106,7 +106,7 @@ pub enum LoadError {
     #[error("{}: has {} and no triangles; {remark}: export it as a mesh of triangles", path.display(), counted(n_vertices, "vertex"))]
     OnlyOthers { path: PathBuf, n_vertices: usize, remark: String },
     #[error("{}: has {}, and each triangle, of {n_rejected}, has a corner that is none of them, or that has no usable \
-        position: export the model again", path.display(), counted(n_vertices, "vertex"))]
+        position (finite, and below 1e17): export the model again", path.display(), counted(n_vertices, "vertex"))]
     NoneUsable { path: PathBuf, n_vertices: usize, n_rejected: usize },
     #[error("{}: no triangle, of {n_triangles}, has an area, so there is nothing to see: export the model again", path.display())]
     NoArea { path: PathBuf, n_triangles: usize },
