@@ -28,7 +28,7 @@ done
 
 ip netns exec $far tc qdisc replace dev raywall-peer root tbf rate 100mbit burst 32kb latency 20ms
 echo "== 100mbit, motions"
-for nodes in 1 4; do
+for nodes in 1 4 12; do
     target/release/examples/motion_delay --nodes $nodes --listen 10.99.0.1:0 --through "ip netns exec $far"
 done
 

@@ -99,7 +99,7 @@ use call_with_features;
 ///
 /// # Panics
 ///
-/// If there is none, or items have not four bytes.
+/// If there is none. Items that have not four bytes do not compile.
 #[inline(always)]
 fn last_index<T>(items: &[T]) -> u32 {
     const { assert!(size_of::<T>() == 4, "items of four bytes") };

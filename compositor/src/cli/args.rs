@@ -55,6 +55,10 @@ pub enum Command {
     /// Makes a token that lets a remote in, lists all, or revokes one
     RemoteToken(TokenArgs),
     /// Aligns a wall with a camera: shows patterns, reads photographs of them, and writes corners or meshes
+    ///
+    /// Without --photos and --patterns, the patterns are shown on the wall's outputs: Space shows the next one, Escape ends.
+    /// With --watch, each photograph of a pattern shows the next one by itself, Tab what was seen so far, and Enter what was
+    /// found; a second Enter writes it. The order of photographs does not matter.
     Calibrate(CalibrateArgs),
     /// Makes a wall file, and a mesh file for each projector, of an MPCDI file
     Import(ImportArgs),

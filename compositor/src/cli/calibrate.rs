@@ -37,11 +37,7 @@ use crate::{
     window::{Page, Waker, WindowLoop, Wish},
 };
 
-/// Aligns a wall with a camera: shows patterns, reads photographs of them, and writes corners or meshes, and light
-///
-/// Without --photos and --patterns, the patterns are shown on the wall's outputs: Space shows the next one, Escape ends.
-/// With --watch, each photograph of a pattern shows the next one by itself, Tab what was seen so far, and Enter what was
-/// found; a second Enter writes it. The order of photographs does not matter.
+/// The wall file, and where photographs of its patterns come from.
 #[derive(Clone, Debug, clap::Args)]
 pub struct CalibrateArgs {
     /// The wall file: it gets what was found, unless a projector was not found or does not fit

@@ -18,7 +18,8 @@ pub struct SceneArgs {
     density: Option<f64>,
 
     /// Storage of the grid: plain or row-displacement for the paper's uniform grid; masks for a tree that is finer where
-    /// triangles are dense; or compact for the same in the least memory, in which frames take up to twice as long
+    /// triangles are dense; or compact for the same in the least memory, in which frames take up to twice as long, and
+    /// those with ambient occlusion or paths up to four times
     #[arg(long, help_heading = HEADING, value_name = "HOW", default_value_t = Storage::default())]
     storage: Storage,
 
@@ -28,8 +29,8 @@ pub struct SceneArgs {
     macrocell_levels: u8,
 
     /// Limit of the memory to load and build a scene, for example 512M or 1.5G; what takes more is built in temporary files, or,
-    /// where there is no disk for them, with a coarser grid [default: three quarters of what is free, divided among local
-    /// render servers]
+    /// where there is no disk for them, with a coarser grid [default: three quarters of what is free; the local render
+    /// servers of a wall share it, others that start by themselves do not]
     #[arg(long, help_heading = HEADING, value_name = "SIZE")]
     memory_budget: Option<MemoryBudget>,
 

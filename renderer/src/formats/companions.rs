@@ -109,8 +109,8 @@ impl Companions {
 }
 
 /// The way from the model's folder to a path that is in it or below it, or below the folder above it, where models share
-/// textures: a model from a stranger must not show other files of this machine. Links are followed, because only the
-/// machine's owner makes them.
+/// textures: a model from a stranger must not show other files of this machine. Links are followed, as textures are
+/// often kept elsewhere: whoever unpacks a stranger's archive should look for them.
 fn within(folder: &Path, path: &Path) -> Option<PathBuf> {
     if path.is_absolute() {
         // The empty path is the current folder to all but this function.

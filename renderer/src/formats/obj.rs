@@ -311,7 +311,7 @@ fn assign_materials(draft: &mut Draft, library: Library, names: &[String], of_tr
     look.materials = [Material::default()].into_iter().chain(names.iter().map(&mut of_name)).collect();
     look.materials.truncate(1 << 16);
     if names.len() >= 1 << 16 {
-        draft.remarks.push("more than 65535 materials are left out".to_owned());
+        draft.remarks.push("materials beyond the 65535th are left out".to_owned());
     }
     if n_missing > 0 {
         draft

@@ -98,7 +98,8 @@ pub(super) fn divide(mut draft: Draft, companions: &Companions) -> Draft {
     let is_outside = |&triangle: &usize| tiles[triangle].is_none() && is_divided[usize::from(material_of(triangle))];
     let n_outside = (0..tiles.len()).filter(is_outside).count();
     if !fits {
-        draft.remarks.push("tiles of textures are left out: with its materials they are more than 65535".to_owned());
+        let remark = format!("tiles of textures are left out: with its materials they are more than {MOST_MATERIALS}");
+        draft.remarks.push(remark);
     } else if n_outside > 0 {
         let told = format!("triangles outside the tiles of their textures are plain: {n_outside} of {}", tiles.len());
         draft.remarks.push(told);

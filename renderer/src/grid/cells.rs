@@ -15,22 +15,24 @@ pub(crate) struct CellSpace {
 }
 
 impl CellSpace {
-    /// The space of a grid over `bounds`, with finest cells of side `cell_size` in world units.
+    /// The space of a grid over `bounds`, with finest cells of side `cell_size` in the model's units.
     pub(crate) fn new(bounds: &Aabb, cell_size: f64) -> Self {
         Self { origin: bounds.min, cells_per_unit: 1.0 / cell_size }
     }
 
-    pub(crate) fn point_to_cells(&self, world: DVec3) -> DVec3 {
-        (world - DVec3::from_array(self.origin.map(f64::from))) * self.cells_per_unit
+    /// A point of model space in finest cells.
+    pub(crate) fn point_to_cells(&self, point: DVec3) -> DVec3 {
+        (point - DVec3::from_array(self.origin.map(f64::from))) * self.cells_per_unit
     }
 
-    /// A length in finest cells, converted to world units.
-    pub(crate) fn length_to_world(&self, cells: f64) -> f64 {
+    /// A length in finest cells, converted to the model's units.
+    pub(crate) fn length_to_model(&self, cells: f64) -> f64 {
         cells / self.cells_per_unit
     }
 
-    pub(crate) fn direction_to_cells(&self, world: DVec3) -> DVec3 {
-        world * self.cells_per_unit
+    /// A vector of model space in finest cells.
+    pub(crate) fn direction_to_cells(&self, vector: DVec3) -> DVec3 {
+        vector * self.cells_per_unit
     }
 }
 

@@ -25,14 +25,14 @@ pub struct GridStats {
     /// Row displacement's O: index and offset of each row.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub o_bytes: Option<usize>,
-    /// Bytes of the lists' starts: row displacement's H.
+    /// Bytes of the lists' starts: row displacement's H; in a tree, with the cubes of its leaves.
     pub list_bytes: usize,
     /// Bytes of the lists.
     pub reference_bytes: usize,
     /// Four bytes a cell, divided by D + O + H.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub compression_ratio: Option<f64>,
-    /// In a tree: bytes of the triangles' bounds.
+    /// In a tree: bytes of the triangles' bounds, and of the hierarchy.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub box_bytes: Option<usize>,
 }

@@ -294,7 +294,7 @@ fn rays_along_the_border_stay_inside() {
             };
             for (axis, n_cells) in dims.into_iter().enumerate() {
                 let mut ray = Ray::new(Vec3::splat(9.5), Vec3::ZERO);
-                ray.origin[axis] = grid.space.length_to_world(f64::from(n_cells) + 0.5 * DILATION) as f32;
+                ray.origin[axis] = grid.space.length_to_model(f64::from(n_cells) + 0.5 * DILATION) as f32;
                 ray.direction[axis] = 1e-9;
                 ray.origin[(axis + 1) % 3] = -1.0;
                 ray.direction[(axis + 1) % 3] = 1.0;

@@ -147,7 +147,8 @@ impl Descent {
         groups: GroupBatch<'_>,
         first: usize,
     ) -> (u32, GroupSlabs<S>) {
-        let rows = groups.rows::<S>(self.sides(), first);
+        // SAFETY: sides are those of three axes; the caller's `first`.
+        let rows = unsafe { groups.rows::<S>(self.sides(), first) };
         let mut slabs = GroupSlabs([S::splat(0.0); 9]);
         let (mut s_near, mut s_far) = (S::splat(self.s_range[0]), S::splat(self.s_range[1]));
         for axis in 0..3 {
@@ -168,7 +169,8 @@ impl Descent {
         let (mut s_near, mut s_far) = (S::splat(self.s_range[0]), S::splat(self.s_range[1]));
         for axis in 0..3 {
             let is_backward = self.ahead & SLOT_BITS[axis] == 0;
-            let [from_near, from_far] = boxes.steps::<S>(axis, is_backward, first);
+            // SAFETY: three axes; the caller's `first`.
+            let [from_near, from_far] = unsafe { boxes.steps::<S>(axis, is_backward, first) };
             let [near, far, step] = [slabs.0[3 * axis], slabs.0[3 * axis + 1], slabs.0[3 * axis + 2]];
             s_near = s_near.max(from_near.mul_add(S::splat(step), S::splat(near)));
             s_far = s_far.min(from_far.neg_mul_add(S::splat(step), S::splat(far)));

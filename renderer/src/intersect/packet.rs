@@ -127,7 +127,7 @@ impl Grid {
         hits: &mut [[Hit; 64]; N],
     ) -> bool {
         let Structure::Tree(tree) = &self.structure else { return false };
-        if self.space.length_to_world(1.0) < SMALLEST_CELL_SIZE {
+        if self.space.length_to_model(1.0) < SMALLEST_CELL_SIZE {
             return false;
         }
         let is_traced = match self.instructions {
@@ -242,7 +242,7 @@ impl Grid {
 
             // Without divided bricks the slab is done: settle the rays up to its far side.
             if entries[1].is_empty() {
-                if culler.has_new_tests && culler.finish_to_depth::<S>(self.space.length_to_world(far)) {
+                if culler.has_new_tests && culler.finish_to_depth::<S>(self.space.length_to_model(far)) {
                     culler.rays.nearest.write::<S>(hits);
                     return true;
                 }
@@ -311,7 +311,7 @@ impl Grid {
                 } else if culler.has_new_tests {
                     // Pending leaves may lie nearer than leaves that were tested.
                     let tested_to = if leaves.is_empty() { far } else { pending_near_depth.min(far) };
-                    if culler.finish_to_depth::<S>(self.space.length_to_world(tested_to)) {
+                    if culler.finish_to_depth::<S>(self.space.length_to_model(tested_to)) {
                         culler.rays.nearest.write::<S>(hits);
                         return true;
                     }

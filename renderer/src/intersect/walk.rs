@@ -62,7 +62,6 @@ pub(super) fn walk<C: CellStructure>(
     let inverse = grid_ray.direction.map(|d| 1.0 / d);
     let Some([t_enter, t_end]) = grid_ray.clip(ray, &inverse, dims) else { return 0 };
     let GridRay { origin, direction, t_base, t_slack } = grid_ray;
-    let inverse_direction = direction.map(|d| 1.0 / d);
 
     // Set up the DDA: the cell in which the ray enters the grid.
     let step = |axis: usize| if direction[axis] > 0.0 { 1 } else { -1 };
@@ -80,7 +79,7 @@ pub(super) fn walk<C: CellStructure>(
         let (mut next_crossing_t, mut step_axis) = (f64::INFINITY, 3);
         for axis in 0..3 {
             let plane = if step(axis) > 0 { low[axis] + size } else { low[axis] };
-            let crossing_t = (f64::from(plane) - origin[axis]) * inverse_direction[axis];
+            let crossing_t = (f64::from(plane) - origin[axis]) * inverse[axis];
             if direction[axis] != 0.0 && crossing_t < next_crossing_t {
                 (next_crossing_t, step_axis) = (crossing_t, axis);
             }

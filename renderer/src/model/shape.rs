@@ -17,7 +17,8 @@ impl Mesh {
     /// Bounds, outline and likely up axis of the triangles that can be traced, in world space, without
     /// [strays](Mesh::bulk).
     ///
-    /// If the file does not say what points up, the model is taken to stand on its largest supporting face: the hull of the points within [`SOLE`] of the lowest.
+    /// If the file does not say what points up, the model is taken to stand on its largest supporting face: the hull of the
+    /// points near the lowest.
     pub fn shape(&self) -> Shape {
         let bulk = self.bulk();
         let [min, max] = bulk.bounds.corners();

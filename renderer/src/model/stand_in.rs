@@ -10,14 +10,14 @@ use crate::model::{clusters::clustered, mesh::Mesh};
 /// Models with fewer triangles have no stand-ins: a frame of them takes few milliseconds more.
 pub const LEAST_TRIANGLES: usize = 1 << 24;
 
-/// A stand-in has at most this part of the triangles of the mesh, or stand-in, before it.
+/// How many times fewer triangles a stand-in has at least: the first than the mesh, each other than the one before it.
 const LEAST_FACTOR: [usize; 2] = [4, 2];
 
 /// A surface of a cell's square gives about this many triangles: two, and more where it passes slantwise.
 const TRIANGLES_PER_SQUARE: f64 = 4.0;
 
-/// Cells of the first stand-in have at least about this many triangles a square: all stand-ins together then have a sixth of
-/// those of the mesh at most.
+/// Cells of the first stand-in have at least about this many triangles a square: all stand-ins together then usually have a
+/// sixth of those of the mesh.
 const FIRST_FACTOR: f64 = 8.0;
 
 /// The most sizes of cells that are tried for the next stand-in.

@@ -54,8 +54,11 @@ pub(crate) struct SceneFile {
 /// Most stand-ins: each has at most half of the triangles of the one before.
 const MOST_STAND_INS: usize = 32;
 
-/// Most lines that are told of a model, and most points of its outline; models have fewer.
+/// Most lines that are told of a model; models have fewer.
 const MOST_LINES: usize = 100;
+
+/// Most points of a model's outline; models have fewer.
+const MOST_OUTLINE_POINTS: usize = 1000;
 
 /// Whether the file of a path begins as scene files do.
 pub fn is_scene_file(path: &Path) -> bool {
@@ -288,7 +291,7 @@ fn read_record(head: &Head) -> Result<Record<Grid>, Fault> {
     let is_point = |point: &DVec3| point.is_finite();
     let (min, max) = shape.bounds;
     let is_shape = is_point(&min) && is_point(&max) && min.cmple(max).all() && shape.outline.iter().all(is_point);
-    let are_few = shape.outline.len() <= 10 * MOST_LINES && found.len() + left_out.len() <= MOST_LINES;
+    let are_few = shape.outline.len() <= MOST_OUTLINE_POINTS && found.len() + left_out.len() <= MOST_LINES;
     expect(is_shape && are_few && (1..=u32::MAX as usize).contains(n_triangles), "facts")?;
     let are_in_order = record.stand_ins.is_sorted_by(|(finer, _), (coarser, _)| finer < coarser);
     let are_sides = record.stand_ins.iter().all(|(side, _)| side.is_finite() && *side > 0.0);

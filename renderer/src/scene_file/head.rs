@@ -29,7 +29,7 @@ pub(crate) const CHUNK: usize = 1 << 20;
 /// The longest record; a scene of 65,536 materials has a tenth of it.
 pub(crate) const LONGEST_RECORD: usize = 1 << 26;
 
-/// Most sections: each of 65,536 materials may have four textures and a mask of its own.
+/// Most sections: each of 65,536 materials may have three textures and a mask of its own.
 const MOST_SECTIONS: u64 = 1 << 19;
 
 /// The longest body: no memory budget is larger. Its hashes take 32 MB.

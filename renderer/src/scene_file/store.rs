@@ -30,7 +30,6 @@ const WORTHWHILE_BYTES: usize = 8_000_000;
 
 /// The steps of a process until a scene is ready.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, strum::Display)]
-#[strum(serialize_all = "lowercase")]
 #[expect(missing_docs, reason = "the names say it")]
 pub enum Stage {
     #[strum(serialize = "waiting for another process that loads")]

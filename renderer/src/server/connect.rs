@@ -150,7 +150,7 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
     };
     // A local server ends with its wall, before it complains about the connection.
     let patience = if args.local { LONGEST_PAUSE } else { SHORTEST_PAUSE };
-    // This thread reads, writes and sends heartbeats; it never traces.
+    // This thread reads, writes and sends heartbeats; it traces only probes and looks, a few rays each.
     let runtime = tokio::runtime::Builder::new_current_thread()
         .thread_name("work")
         .enable_all()

@@ -1,4 +1,4 @@
-//! Loads and caches the one scene that a render server traces, on a thread of its own.
+//! Loads the scene that a render server traces, and the next one ahead, on a thread of its own.
 
 use std::{
     ops::Range,
@@ -355,7 +355,10 @@ impl LoaderThread {
         let Some(fetcher) = self.fetcher.clone() else { return Err(missing) };
         let cache = match self.store.cache() {
             Ok(cache) => cache.clone(),
-            Err(fault) => return Err(format!("{missing}; it cannot be fetched: {fault}")),
+            Err(fault) => {
+                let cure = "name a folder that it may write with XDG_CACHE_HOME, or a copy of the model with --model";
+                return Err(format!("{missing}; it cannot be fetched: {fault}: {cure}"));
+            }
         };
         let fetched = self.fetch(&fetcher, &cache, (order.scene, sky.as_ref()), requests);
         match &fetched {

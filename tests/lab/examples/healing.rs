@@ -34,7 +34,7 @@ struct Args {
     /// Render servers
     #[arg(long, default_value_t = 4)]
     nodes: u32,
-    /// Render servers to lose: every other one is killed, the others are frozen
+    /// Rounds, each of which loses one render server: killed and frozen ones in turn
     #[arg(long, default_value_t = 40)]
     rounds: u32,
     /// Triangles of the built-in statue

@@ -52,7 +52,7 @@ pub struct BenchArgs {
     /// Samples of a measured frame
     #[arg(long, value_name = "WxH", default_value_t = FrameSize::PAPER)]
     pub size: FrameSize,
-    /// By which rays the picture is lit: primary, shadows or ambient
+    /// By which rays the picture is lit: primary, shadows, ambient or path
     #[arg(long, value_name = "RAYS", default_value_t = LightingMode::default())]
     pub rays: LightingMode,
     #[command(flatten)]

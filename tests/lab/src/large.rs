@@ -67,7 +67,7 @@ pub struct LargeArgs {
     folder: PathBuf,
 
     /// Build within so much memory, with temporary files for what takes more; without it, in memory alone
-    #[arg(long, value_name = "BYTES")]
+    #[arg(long, value_name = "SIZE")]
     memory_budget: Option<MemoryBudget>,
 
     /// Storage of the grid: masks or compact

@@ -153,7 +153,7 @@ impl<'a> Geometry<'a> {
         let material = primitive.material.and_then(|material| self.look.number(material));
         if let Some(index) = primitive.material.filter(|_| material.is_none()) {
             self.note(match self.document.materials.get(index) {
-                Some(_) => "more than 65535 materials are left out".to_owned(),
+                Some(_) => "materials beyond the 65535th are left out".to_owned(),
                 None => format!("there is no material {index}: a mesh is shown without one"),
             });
         }

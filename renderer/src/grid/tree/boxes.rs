@@ -107,13 +107,17 @@ impl GroupBatch<'_> {
 
     /// Sides of the groups from number `first` on, a multiple of [`Simd::LANES`] below [`GROUP`]. A side is below six and
     /// numbered as in [`GroupBounds::sides`]. Lanes beyond the last group are undefined.
+    ///
+    /// # Safety
+    ///
+    /// `sides` and `first` are as said.
     #[inline(always)]
-    pub(crate) fn rows<S: Simd>(&self, sides: [usize; 6], first: usize) -> [S; 6] {
+    pub(crate) unsafe fn rows<S: Simd>(&self, sides: [usize; 6], first: usize) -> [S; 6] {
         let mut rows = [S::splat(0.0); 6];
         for row in 0..6 {
             let at = sides[row] * self.n + first;
             debug_assert!(sides[row] < 6 && at + S::LANES <= self.bytes.len(), "side {} from {first} on", sides[row]);
-            // SAFETY: row 5 begins n bytes before the padding of 16, so at most 16 bytes from there are in the slice.
+            // SAFETY: the caller's; row 5 begins n bytes before the padding of 16, so 16 bytes from any row's start are in the slice.
             rows[row] = unsafe { S::load_bytes_at(self.bytes.as_ptr().add(at)) };
         }
         rows
@@ -138,11 +142,15 @@ impl GroupBoxes<'_> {
     /// For the boxes from number `first` on, a multiple of [`Simd::LANES`] below [`GROUP`], steps from the group's least side
     /// up and from its greatest side down, along an axis; in the other order if `is_backward`. Lanes beyond the last box are
     /// undefined.
+    ///
+    /// # Safety
+    ///
+    /// The axis is below 3, and `first` as said.
     #[inline(always)]
-    pub(crate) fn steps<S: Simd>(&self, axis: usize, is_backward: bool, first: usize) -> [S; 2] {
+    pub(crate) unsafe fn steps<S: Simd>(&self, axis: usize, is_backward: bool, first: usize) -> [S; 2] {
         let at = axis * self.n + first;
         debug_assert!(axis < 3 && at + S::LANES <= self.bytes.len(), "axis {axis} from {first} on");
-        // SAFETY: row 2 begins n bytes before the padding of 16, so at most 16 bytes from there are in the slice.
+        // SAFETY: the caller's; row 2 begins n bytes before the padding of 16, so 16 bytes from any row's start are in the slice.
         unsafe { S::load_halves_at(self.bytes.as_ptr().add(at), 4 * u32::from(is_backward)) }
     }
 }
@@ -372,7 +380,9 @@ impl<'a> LeafGroups<'a> {
     /// are undefined. `placed` gets them for [`LeafGroups::boxes`].
     #[inline(always)]
     pub(crate) fn bounds<S: Simd>(&self, first: usize, placed: &mut PlacedGroups) -> BoxLanes<S> {
-        let rows = self.bounds.batch(first / GROUP * GROUP).rows::<S>(self.sides, first % GROUP);
+        let batch = self.bounds.batch(first / GROUP * GROUP);
+        // SAFETY: sides are those of three axes, and `first` is a multiple of the lanes.
+        let rows = unsafe { batch.rows::<S>(self.sides, first % GROUP) };
         for axis in 0..3 {
             let group_step = S::splat(self.steps[1] * (1.0 / f32::from(N_GROUP_STEPS)));
             let length = rows[2 * axis + 1].sub(rows[2 * axis]).abs();
@@ -403,7 +413,8 @@ impl<'a> LeafGroups<'a> {
         for axis in 0..3 {
             let [least, greatest] = [2 * axis, 2 * axis + 1];
             let is_backward = self.sides[least] % 2 == 1;
-            let [from_least, from_greatest] = boxes.steps::<S>(self.sides[least] / 2, is_backward, first);
+            // SAFETY: sides are those of three axes; the caller's `first`.
+            let [from_least, from_greatest] = unsafe { boxes.steps::<S>(self.sides[least] / 2, is_backward, first) };
             let step = S::splat(placed.steps[axis][lane]);
             sides[least] = from_least.mul_add(step, S::splat(placed.sides[least][lane]));
             sides[greatest] = from_greatest.neg_mul_add(step, S::splat(placed.sides[greatest][lane]));

@@ -142,10 +142,7 @@ impl Builder<'_> {
                 })
                 .collect();
             group_neighbours(&mut placed);
-            let first = part.references.len();
             part.references.extend(placed.into_iter().map(|placed| placed.triangle));
-            // Numbers in their order take fewer bits.
-            part.references[first..].chunks_mut(GROUP).for_each(<[u32]>::sort_unstable);
         } else {
             part.references.extend_from_slice(references);
         }
@@ -345,7 +342,8 @@ struct PlacedTriangle {
 }
 
 /// Orders triangles so that every [`GROUP`] of them are close, from the first on: divides them across the longest side of the
-/// bounds of their centres, at a multiple of [`GROUP`] near the middle, and so on. Groups keep the order of the file.
+/// bounds of their centres, at a multiple of [`GROUP`] near the middle, and so on. Groups keep the order of the file, so
+/// that numbers in the file take fewer bits.
 fn group_neighbours(placed: &mut [PlacedTriangle]) {
     if placed.len() <= GROUP {
         placed.sort_unstable_by_key(|placed| placed.triangle);

@@ -182,7 +182,7 @@ impl<'a, const N: usize> Culler<'a, N> {
                 max_abs_direction: [1.0; 3],
                 group_half_width: [0.0; 2],
             },
-            cell_length: (grid.space.length_to_world(1.0) * (1.0 - 1e-6)) as f32,
+            cell_length: (grid.space.length_to_model(1.0) * (1.0 - 1e-6)) as f32,
             least_inverse_limit: 0.0,
             has_new_tests: false,
         };

@@ -21,7 +21,7 @@ use crate::{
 /// that close by, and far away with the square. So nothing close to the eye is dazzling.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lamp {
-    /// World space.
+    /// In model space.
     point: DVec3,
     /// The square of the room's distance: the mean over the directions in which there is a surface.
     square_distance: f64,

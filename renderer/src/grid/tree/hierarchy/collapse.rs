@@ -64,7 +64,8 @@ impl BinaryTree {
         self.nodes.len() - 1
     }
 
-    /// Finds the cheapest forests of a node with two children. The node may lie over triangles.
+    /// Finds the cheapest forests of a node with two children. With `is_of_triangles` one triangle node can
+    /// hold all of its items.
     fn join(&self, node: &mut BinaryNode, children: [usize; 2], is_of_triangles: bool) {
         let [first, second] = children.map(|child| &self.nodes[child].forests);
         let mut best = Forest { cost: f32::INFINITY, n_roots: [0; 2] };
