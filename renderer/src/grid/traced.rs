@@ -150,7 +150,9 @@ impl TracedMesh {
     /// A triangle's corners, in model space.
     #[inline]
     pub fn corners(&self, triangle_idx: u32) -> [[f32; 3]; 3] {
-        self.corners.of(triangle_idx).map(|vertex| self.positions.of(vertex))
+        // An array's map is a call for each corner, and what that writes to the stack is read late.
+        let [a, b, c] = self.corners.of(triangle_idx);
+        [self.positions.of(a), self.positions.of(b), self.positions.of(c)]
     }
 
     /// A vector of any length across a triangle, on the side where its corners run counter-clockwise.

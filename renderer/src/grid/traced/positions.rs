@@ -122,7 +122,7 @@ impl Positions {
     }
 
     /// The position of a vertex.
-    #[inline]
+    #[inline(always)]
     pub(super) fn of(&self, vertex: u32) -> [f32; 3] {
         let vertex = vertex as usize;
         match &self.form {
