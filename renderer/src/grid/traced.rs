@@ -148,11 +148,17 @@ impl TracedMesh {
     }
 
     /// A triangle's corners, in model space.
-    #[inline]
+    #[inline(always)]
     pub fn corners(&self, triangle_idx: u32) -> [[f32; 3]; 3] {
-        // An array's map is a call for each corner, and what that writes to the stack is read late.
+        // Without a call, as of an array's map: what that writes to the stack is read late.
         let [a, b, c] = self.corners.of(triangle_idx);
         [self.positions.of(a), self.positions.of(b), self.positions.of(c)]
+    }
+
+    /// [`TracedMesh::corners`] by a call: long kernels are slower with its code in them.
+    #[inline(never)]
+    pub(crate) fn corners_by_call(&self, triangle_idx: u32) -> [[f32; 3]; 3] {
+        self.corners(triangle_idx)
     }
 
     /// A vector of any length across a triangle, on the side where its corners run counter-clockwise.
@@ -207,7 +213,8 @@ impl TracedMesh {
     /// Whether a ray passes a triangle that it hits, where the triangle's material has a gap.
     #[inline]
     pub(crate) fn is_passed(&self, triangle_idx: u32, ray: &Ray) -> bool {
-        let point = || Some(texture_point(ray, &self.corners(triangle_idx), self.corner_coordinates(triangle_idx)?));
+        let point =
+            || Some(texture_point(ray, &self.corners_by_call(triangle_idx), self.corner_coordinates(triangle_idx)?));
         self.materials.is_cut(triangle_idx, point)
     }
 

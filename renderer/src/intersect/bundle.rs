@@ -337,7 +337,7 @@ impl<'a> Bundle<'a> {
     #[inline(always)]
     fn test_triangle<S: Simd>(&mut self, triangle: u32, rays: u32) {
         let mesh = self.grid.mesh();
-        let corners = mesh.corners(triangle);
+        let corners = mesh.corners_by_call(triangle);
         let mut points = [[0.0; 3]; 3];
         for corner in 0..3 {
             for axis in 0..3 {

@@ -502,7 +502,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
                 let triangle = triangles[first_lane + lane];
                 let slot = &mut self.state.slots[slots[first_lane + lane] as usize];
                 let certain_t = (decision.uncertain >> lane & 1 == 0).then_some(ts[lane]);
-                if let Some(t) = triangle::finish(&slot.ray, certain_t, || mesh.corners(triangle)) {
+                if let Some(t) = triangle::finish(&slot.ray, certain_t, || mesh.corners_by_call(triangle)) {
                     slot.nearest.offer(mesh, &slot.ray, triangle, t);
                 }
             }
