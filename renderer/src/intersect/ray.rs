@@ -5,7 +5,7 @@ use glam::Vec3;
 
 /// A ray in model space: the points `origin + t·direction` with t in `t_min..=t_max`.
 ///
-/// The direction is not normalised.
+/// The direction is not normalised. Kernels load the eight numbers as a row, in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Ray {

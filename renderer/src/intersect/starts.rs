@@ -75,7 +75,7 @@ impl RayStarts {
         starts
     }
 
-    /// Prepares rays from lane `first` on that are near and finite, as most are; `numbers` are those of [`Ray`] in their order.
+    /// Prepares rays from lane `first` on that are near and finite, as most are; `numbers` are those of [`Ray`], in its order.
     #[inline(always)]
     fn prepare_near<R: Real>(&mut self, space: &CellSpace, extent: [u32; 3], numbers: &[[f32; 16]; 8], first: usize) {
         // Convert to finest cells.

@@ -117,7 +117,8 @@ impl GroupBatch<'_> {
         for row in 0..6 {
             let at = sides[row] * self.n + first;
             debug_assert!(sides[row] < 6 && at + S::LANES <= self.bytes.len(), "side {} from {first} on", sides[row]);
-            // SAFETY: the caller's; row 5 begins n bytes before the padding of 16, so 16 bytes from any row's start are in the slice.
+            // SAFETY: the caller's; row 5 begins n bytes before the padding of 16, so the slice has 16 bytes from any row's
+            // start.
             rows[row] = unsafe { S::load_bytes_at(self.bytes.as_ptr().add(at)) };
         }
         rows
@@ -150,7 +151,7 @@ impl GroupBoxes<'_> {
     pub(crate) unsafe fn steps<S: Simd>(&self, axis: usize, is_backward: bool, first: usize) -> [S; 2] {
         let at = axis * self.n + first;
         debug_assert!(axis < 3 && at + S::LANES <= self.bytes.len(), "axis {axis} from {first} on");
-        // SAFETY: the caller's; row 2 begins n bytes before the padding of 16, so 16 bytes from any row's start are in the slice.
+        // SAFETY: the caller's; row 2 begins n bytes before the padding of 16, so the slice has 16 bytes from any row's start.
         unsafe { S::load_halves_at(self.bytes.as_ptr().add(at), 4 * u32::from(is_backward)) }
     }
 }
