@@ -70,8 +70,8 @@ impl TreatmentArgs {
 }
 
 /// The warning about a picture without anything but its background.
-pub const SHOWS_NOTHING: &str = "the picture shows nothing of the model: leave --camera, --path and --clip out to see all of it; if none is given, the \
-    model is finer than a sample, which a larger --size shows, or smaller than 1e-36, in which case give it a smaller unit";
+pub const SHOWS_NOTHING: &str = "the picture shows nothing of the model: leave --camera, --path and --clip out to see all \
+    of it; without them, it is finer than a sample (try a larger --size), or smaller than 1e-36 (give it a smaller unit)";
 
 /// The axis that points up where nobody chose one, told in the log unless it is the usual.
 pub fn guessed_up(shape: &Shape) -> UpAxis {
