@@ -89,13 +89,15 @@ impl Cache {
     /// # Errors
     /// A text that says why the cache is not used.
     pub fn at(folder: PathBuf, most_bytes: u64) -> Result<Self, String> {
-        let told = |error: &dyn fmt::Display| format!("{}: {error}; models are built at each start", folder.display());
+        let told = |error: &dyn fmt::Display| format!("{}: {error}", folder.display());
         let seals = folder.join("seals");
         let mut builder = DirBuilder::new();
         builder.recursive(true);
         #[cfg(unix)]
         std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
-        builder.create(&seals).map_err(|error| told(&format_args!("the cache cannot be made: {error}")))?;
+        builder.create(&seals).map_err(|error| {
+            told(&format_args!("the cache cannot be made: {error}: name another folder with XDG_CACHE_HOME"))
+        })?;
         for folder in [&folder, &seals] {
             if !is_private(folder).map_err(|error| told(&error))? {
                 return Err(told(&"others may write in the cache (chmod 700)"));

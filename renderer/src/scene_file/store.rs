@@ -198,7 +198,7 @@ impl SceneStore {
         if let (Some(fault), SceneSource::File(_)) = (&self.fault, source)
             && is_worthwhile(&built.scene)
         {
-            tracing::warn!("{fault}");
+            tracing::warn!("{fault}; models are built at each start");
         }
         Ok(built.into())
     }

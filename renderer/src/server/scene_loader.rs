@@ -355,10 +355,7 @@ impl LoaderThread {
         let Some(fetcher) = self.fetcher.clone() else { return Err(missing) };
         let cache = match self.store.cache() {
             Ok(cache) => cache.clone(),
-            Err(fault) => {
-                let cure = "name a folder that it may write with XDG_CACHE_HOME, or a copy of the model with --model";
-                return Err(format!("{missing}; it cannot be fetched: {fault}: {cure}"));
-            }
+            Err(fault) => return Err(format!("{missing}; it cannot be fetched: {fault}")),
         };
         let fetched = self.fetch(&fetcher, &cache, (order.scene, sky.as_ref()), requests);
         match &fetched {
