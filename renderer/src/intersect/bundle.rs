@@ -107,12 +107,22 @@ pub(super) struct Bundle<'a> {
     left: u32,
     /// A bit for each ray that hits something.
     occluded: u32,
+    /// The last triangle that some of them hit.
+    occluder: Option<u32>,
 }
 
 impl<'a> Bundle<'a> {
     /// A bit for each of up to [`MOST_RAYS`] rays that hits something; `None` if they do not go together.
+    ///
+    /// `occluder` is a triangle that hid rays of the last bundle, if all of them hit something. It is tested first, because it
+    /// may well hide these too (Haines and Greenberg, "The Light Buffer: A Shadow-Testing Accelerator", 1986).
     #[inline(always)]
-    pub(super) fn occluded<S: Simd>(grid: &'a Grid, tree: &'a Tree, rays: &'a [Ray]) -> Option<u32> {
+    pub(super) fn occluded<S: Simd>(
+        grid: &'a Grid,
+        tree: &'a Tree,
+        rays: &'a [Ray],
+        occluder: &mut Option<u32>,
+    ) -> Option<u32> {
         // Most rays have nothing to do with each other, which the last one tells.
         let (first, last) = (rays.first()?, rays.last()?);
         let axis = major_axis(first.direction.to_array());
@@ -126,11 +136,15 @@ impl<'a> Bundle<'a> {
         }
         let left = u32::MAX >> (32 - rays.len());
         let (lanes, shaft) = Default::default();
-        let mut bundle = Self { grid, tree, rays, axes, lanes, shaft, reach: 0.0, left, occluded: 0 };
+        let mut bundle = Self { grid, tree, rays, axes, lanes, shaft, reach: 0.0, left, occluded: 0, occluder: None };
         if !bundle.bound::<S>() {
             return None;
         }
+        if let Some(triangle) = *occluder {
+            bundle.test_triangle::<S>(triangle, bundle.left);
+        }
         bundle.trace::<S>();
+        *occluder = bundle.occluder.filter(|_| bundle.left == 0);
         Some(bundle.occluded)
     }
 
@@ -399,7 +413,7 @@ impl<'a> Bundle<'a> {
             let outside = bounded & (greatest.lt(start) | end.lt(least));
             let hit =
                 if mesh.has_masks() { 0 } else { bounded & margin.lt(inside) & start.lt(least) & greatest.lt(end) };
-            self.occlude(hit << lane);
+            self.occlude(triangle, hit << lane);
             let mut undecided = possible & !outside & !hit;
             while undecided != 0 {
                 let ray_idx = lane + undecided.trailing_zeros() as usize;
@@ -407,14 +421,17 @@ impl<'a> Bundle<'a> {
                 let ray = &self.rays[ray_idx];
                 if triangle::intersect(ray, &corners).is_some() && !(mesh.has_masks() && mesh.is_passed(triangle, ray))
                 {
-                    self.occlude(1 << ray_idx);
+                    self.occlude(triangle, 1 << ray_idx);
                 }
             }
         }
     }
 
     #[inline(always)]
-    fn occlude(&mut self, rays: u32) {
+    fn occlude(&mut self, triangle: u32, rays: u32) {
+        if rays != 0 {
+            self.occluder = Some(triangle);
+        }
         self.occluded |= rays;
         self.left &= !rays;
     }
@@ -504,15 +521,25 @@ mod tests {
             };
             [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15].map(ray)
         };
+        let mut occluder = None;
+        let mut occluded = |rays: &[Ray]| (Bundle::occluded::<Portable>(&grid, tree, rays, &mut occluder), occluder);
         // They leave the square at its side.
-        assert_eq!(Bundle::occluded::<Portable>(&grid, tree, &rays(0.01)), Some(0));
+        assert_eq!(occluded(&rays(0.01)), (Some(0), None));
         let left = rays(-0.2);
         let expected = left.iter().map(|ray| u32::from(grid.occluded(ray))).rev().fold(0, |mask, hit| mask << 1 | hit);
-        assert_eq!(Bundle::occluded::<Portable>(&grid, tree, &left), Some(expected));
+        assert_eq!(occluded(&left), (Some(expected), None));
         assert!(expected != 0 && expected != 0xffff);
-        assert_eq!(Bundle::occluded::<Portable>(&grid, tree, &rays(40.0)), None, "far apart");
+        assert_eq!(occluded(&rays(40.0)).0, None, "far apart");
         let mut apart = rays(0.01);
         apart[15].direction.x = 0.5;
-        assert_eq!(Bundle::occluded::<Portable>(&grid, tree, &apart), None, "not parallel");
+        assert_eq!(occluded(&apart).0, None, "not parallel");
+
+        // A triangle that hid all rays of a bundle is tested first for the next, and need not hide it.
+        let mut within = rays(0.01);
+        within.iter_mut().for_each(|ray| ray.origin.x -= 3.0);
+        let (all, occluder) = occluded(&within);
+        assert!(all == Some(0xffff) && occluder.is_some());
+        assert_eq!(occluded(&left), (Some(expected), None));
+        assert_eq!(occluded(&within), (all, occluder));
     }
 }

@@ -186,10 +186,10 @@ impl<F: FnMut(usize, Nearest)> Kernel for BundlesAndStream<'_, F> {
     #[inline(always)]
     fn run<S: Simd>(self) {
         let Self { grid, tree, rays, mut answer } = self;
-        let (mut alone, mut indices) = (Vec::new(), Vec::new());
+        let (mut alone, mut indices, mut occluder) = (Vec::new(), Vec::new(), None);
         for (number, of_bundle) in rays.chunks(bundle::MOST_RAYS).enumerate() {
             let first = number * bundle::MOST_RAYS;
-            if let Some(occluded) = Bundle::occluded::<S>(grid, tree, of_bundle) {
+            if let Some(occluded) = Bundle::occluded::<S>(grid, tree, of_bundle, &mut occluder) {
                 (0..of_bundle.len()).for_each(|index| answer(first + index, Nearest::any(occluded >> index & 1 == 1)));
             } else {
                 alone.extend_from_slice(of_bundle);
