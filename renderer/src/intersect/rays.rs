@@ -1,6 +1,8 @@
 //! Traces rays of any origins: through a tree with [`super::stream`], or with [`super::bundle`] where they go together;
 //! through the paper's uniform grid with [`super::walk`].
 
+use std::{ops::Range, slice};
+
 use crate::{
     grid::{
         Grid, Structure,
@@ -11,7 +13,7 @@ use crate::{
         },
     },
     intersect::{
-        bundle::{self, Bundle},
+        bundle::{self, Bundles},
         descent::Descent,
         ray::{Hit, Ray},
         starts::RayStarts,
@@ -95,21 +97,21 @@ impl Grid {
     /// [`Grid::intersect_rays`] for one ray.
     pub fn intersect(&self, ray: &Ray) -> Hit {
         let mut hits = [Hit::MISS];
-        self.intersect_rays(std::slice::from_ref(ray), &mut hits);
+        self.intersect_rays(slice::from_ref(ray), &mut hits);
         hits[0]
     }
 
     /// [`Grid::occluded_rays`] for one ray.
     pub fn occluded(&self, ray: &Ray) -> bool {
         let mut occluded = [false];
-        self.occluded_rays(std::slice::from_ref(ray), &mut occluded);
+        self.occluded_rays(slice::from_ref(ray), &mut occluded);
         occluded[0]
     }
 
     /// The cost of [`Grid::intersect`] for this ray.
     pub fn cost(&self, ray: &Ray) -> RayCost {
         let mut cost = RayCost::default();
-        self.trace::<false>(std::slice::from_ref(ray), |_, nearest| cost = nearest.cost);
+        self.trace::<false>(slice::from_ref(ray), |_, nearest| cost = nearest.cost);
         cost
     }
 
@@ -158,10 +160,11 @@ impl Grid {
         match &self.structure {
             // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
             Structure::Tree(tree) => unsafe {
-                if ANY && rays.len() > 1 && !tree.hierarchy.triangle_nodes.is_empty() {
+                if ANY && rays.len() > 1 {
                     self.instructions.call(BundlesAndStream { grid: self, tree, rays, answer });
                 } else {
-                    self.instructions.call(RayStream::<_, ANY>::new(self, tree, rays, answer));
+                    let all = 0..rays.len();
+                    self.instructions.call(RayStream::<_, ANY>::new(self, tree, rays, slice::from_ref(&all), answer));
                 }
             },
             Structure::Plain(grid) => each.for_each(|(index, ray)| answer(index, walk::trace::<ANY>(self, grid, ray))),
@@ -186,17 +189,19 @@ impl<F: FnMut(usize, Nearest)> Kernel for BundlesAndStream<'_, F> {
     #[inline(always)]
     fn run<S: Simd>(self) {
         let Self { grid, tree, rays, mut answer } = self;
-        let (mut alone, mut indices, mut occluder) = (Vec::new(), Vec::new(), None);
-        for (number, of_bundle) in rays.chunks(bundle::MOST_RAYS).enumerate() {
-            let first = number * bundle::MOST_RAYS;
-            if let Some(occluded) = Bundle::occluded::<S>(grid, tree, of_bundle, &mut occluder) {
-                (0..of_bundle.len()).for_each(|index| answer(first + index, Nearest::any(occluded >> index & 1 == 1)));
+        let mut bundles = Bundles::new(grid, tree);
+        let mut runs_alone: Vec<Range<usize>> = Vec::new();
+        for first in (0..rays.len()).step_by(bundle::MOST_RAYS) {
+            let end = rays.len().min(first + bundle::MOST_RAYS);
+            if let Some(occluded) = bundles.occluded::<S>(&rays[first..end]) {
+                (first..end).for_each(|index| answer(index, Nearest::any(occluded >> (index - first) & 1 == 1)));
             } else {
-                alone.extend_from_slice(of_bundle);
-                indices.extend(first..first + of_bundle.len());
+                match runs_alone.last_mut() {
+                    Some(run) if run.end == first => run.end = end,
+                    _ => runs_alone.push(first..end),
+                }
             }
         }
-        RayStream::<_, true>::new(grid, tree, &alone, |index: usize, nearest| answer(indices[index], nearest))
-            .run::<S>();
+        RayStream::<_, true>::new(grid, tree, rays, &runs_alone, answer).run::<S>();
     }
 }

@@ -4,7 +4,7 @@
 //! Here each of [`N_SLOTS`] rays takes one step at a time, and rays that need the same step take it one after the other, so
 //! that a processor overlaps their steps. Their triangles are decided together, with all lanes full.
 
-use std::cell::Cell;
+use std::{cell::Cell, ops::Range, slice};
 
 use glam::Vec3;
 
@@ -228,24 +228,31 @@ thread_local! {
     static STATE: Cell<Option<Box<State>>> = const { Cell::new(None) };
 }
 
-/// Traces rays, and calls `answer` with the index of each and its nearest hit, with `ANY` one of its hits.
+/// Traces runs of rays, and calls `answer` with the index of each and its nearest hit, with `ANY` one of its hits.
 pub(super) struct RayStream<'a, F, const ANY: bool> {
     grid: &'a Grid,
     tree: &'a Tree,
     rays: &'a [Ray],
     answer: F,
-    /// The next ray to begin.
+    /// The next ray to begin, and the end of its run; equal if none is left.
     next_ray: usize,
+    end: usize,
+    /// The runs that follow.
+    runs: slice::Iter<'a, Range<usize>>,
     /// Whether to hint at what rays enter next.
     hints: bool,
     state: Box<State>,
 }
 
 impl<'a, F: FnMut(usize, Nearest), const ANY: bool> RayStream<'a, F, ANY> {
-    pub(super) fn new(grid: &'a Grid, tree: &'a Tree, rays: &'a [Ray], answer: F) -> Self {
+    /// `runs` of rays that follow each other begin at multiples of 16, and have a ray each.
+    pub(super) fn new(grid: &'a Grid, tree: &'a Tree, rays: &'a [Ray], runs: &'a [Range<usize>], answer: F) -> Self {
         // Rays of which any hit counts take 0.95 to 1.1 of the time with hints.
         let hints = !ANY && tree.exceeds_caches();
-        Self { grid, tree, rays, answer, next_ray: 0, hints, state: STATE.take().unwrap_or_else(State::new) }
+        let mut runs = runs.iter();
+        let Range { start, end } = runs.next().cloned().unwrap_or_default();
+        let state = STATE.take().unwrap_or_else(State::new);
+        Self { grid, tree, rays, answer, next_ray: start, end, runs, hints, state }
     }
 }
 
@@ -255,7 +262,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> Kernel for RayStream<'_, F, ANY>
     #[inline(always)]
     fn run<S: Simd>(mut self) {
         let mut n_begun = 0;
-        while n_begun < N_SLOTS && self.next_ray < self.rays.len() {
+        while n_begun < N_SLOTS && self.next_ray < self.end {
             self.begin_ray::<S>(n_begun as u32);
             n_begun += 1;
         }
@@ -274,11 +281,11 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> Kernel for RayStream<'_, F, ANY>
             }
 
             // Let other rays begin where some end.
-            if at_ends.n == n_begun && self.next_ray == self.rays.len() {
+            if at_ends.n == n_begun && self.next_ray == self.end {
                 break;
             }
             for &slot in at_ends.as_slice() {
-                if self.next_ray == self.rays.len() {
+                if self.next_ray == self.end {
                     break;
                 }
                 self.end_ray(slot);
@@ -329,6 +336,11 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
         }
         self.state.entries[slot_idx] = if meeting == 1 { self.tree.hierarchy.root } else { NONE };
         self.next_ray += 1;
+        if self.next_ray == self.end
+            && let Some(run) = self.runs.next()
+        {
+            (self.next_ray, self.end) = (run.start, run.end);
+        }
     }
 
     /// Answers the ray of a slot.

@@ -67,17 +67,22 @@ proptest! {
 
     #[test]
     fn rays_that_go_together_are_occluded_as_alone(
-        (mesh, rays) in prop_oneof![Just(cube(4)), Just(statue::generate(1000, &|_| ()))].prop_flat_map(|mesh| {
+        (mesh, rays) in prop_oneof![Just(cube(4)), Just(statue::generate(6000, &|_| ()))].prop_flat_map(|mesh| {
             let rays = rays_together(&mesh);
             (Just(mesh), rays)
         }),
     ) {
-        for instructions in InstructionSet::available() {
-            let grid = in_bundles(build(&mesh)).with_instructions(instructions);
-            let mut occluded = vec![false; rays.len()];
-            grid.occluded_rays(&rays, &mut occluded);
-            for (ray, occluded) in rays.iter().zip(occluded) {
-                prop_assert_eq!(occluded, !grid.intersect(ray).is_miss(), "{:?}: {:?}", instructions, ray);
+        let compact = GridOptions { storage: Storage::Compact, ..GridOptions::default() };
+        let compact = Grid::build(mesh.clone(), &compact, &|_| ());
+        for grid in [build(&mesh), over_leaves(build(&mesh)), compact] {
+            let mut grid = in_bundles(grid);
+            for instructions in InstructionSet::available() {
+                grid = grid.with_instructions(instructions);
+                let mut occluded = vec![false; rays.len()];
+                grid.occluded_rays(&rays, &mut occluded);
+                for (ray, occluded) in rays.iter().zip(occluded) {
+                    prop_assert_eq!(occluded, !grid.intersect(ray).is_miss(), "{:?}: {:?}", instructions, ray);
+                }
             }
         }
     }
