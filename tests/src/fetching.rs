@@ -229,6 +229,11 @@ fn a_node_takes_no_more_than_its_operator_allows() {
     let mut without = machines.node(&address, &["--no-cache"]);
     without.wait_for("it cannot be fetched: it keeps no scene files: start it without --no-cache");
     drop(without);
+    let mut homeless = machines.node_command(&address, &[]);
+    homeless.env_remove("HOME").env_remove("XDG_CACHE_HOME");
+    let mut homeless = Program::start(homeless);
+    homeless.wait_for("it cannot be fetched: there is no folder for scene files");
+    drop(homeless);
     assert!(machines.in_cache("fetch").is_empty() && machines.in_cache("raywall").is_empty());
 
     // A disk that takes five megabytes of a file: the rest of it is for others.

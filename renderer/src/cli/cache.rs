@@ -22,9 +22,6 @@ pub struct CacheArgs {
 /// Lists or clears the user's cache.
 pub fn run(args: &CacheArgs) -> Result<()> {
     let cache = Cache::of_user().map_err(|fault| anyhow!(fault))?;
-    let Some(cache) = cache else {
-        return say("there is no cache: neither XDG_CACHE_HOME nor HOME names a folder");
-    };
     let folder = cache.folder().display();
     if args.clear {
         return say(format_args!("{folder}: {} are free again", bytes(cache.clear())));

@@ -76,12 +76,14 @@ pub struct CachedPart {
 }
 
 impl Cache {
-    /// The user's cache, whose folder is made if it is not there; `None` where the system has none. See [`Cache::at`].
+    /// The user's cache, whose folder is made if it is not there. See [`Cache::at`].
     ///
     /// # Errors
     /// A text that says why the cache is not used.
-    pub fn of_user() -> Result<Option<Self>, String> {
-        folder_of_user().map(|folder| Self::at(folder, MOST_BYTES)).transpose()
+    pub fn of_user() -> Result<Self, String> {
+        let without =
+            "there is no folder for scene files, as neither XDG_CACHE_HOME nor HOME names one: set XDG_CACHE_HOME";
+        Self::at(folder_of_user().ok_or(without)?, MOST_BYTES)
     }
 
     /// The cache in a folder that only this user may write: whoever writes there decides what is traced without checks.

@@ -94,7 +94,7 @@ impl SceneStore {
     /// A store with the user's cache.
     pub fn of_user() -> Self {
         match Cache::of_user() {
-            Ok(cache) => Self::new(cache),
+            Ok(cache) => Self::new(Some(cache)),
             Err(fault) => Self { cache: None, fault: Some(fault) },
         }
     }
