@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use renderer::{
-    grid::{Grid, GridOptions},
+    grid::{Grid, GridOptions, Storage},
     intersect::{InstructionSet, ray::Ray},
     model::mesh::Mesh,
 };
@@ -149,8 +149,14 @@ pub(super) fn together(n_rays: u64) -> Tally {
     let scenes: Vec<_> = (0..6).map(|seed| lattice::soup(900 + seed, 4 + 6 * seed as usize)).collect();
     let n_batches = n_rays.div_ceil((N_RAYS * scenes.len()) as u64);
     let of_scene = |(scene, seed): (&Lattice, u64)| {
-        let grid = || Grid::build(solids::mesh_of(scene, 1.0), &GridOptions::default(), &|_| ());
-        let grids: Vec<_> = InstructionSet::available().into_iter().map(|set| grid().with_instructions(set)).collect();
+        // The compact tree has its hierarchy over leaves, and the other over triangles.
+        let grid = |set, storage| {
+            let options = GridOptions { storage, ..GridOptions::default() };
+            Grid::build(solids::mesh_of(scene, 1.0), &options, &|_| ()).with_instructions(set)
+        };
+        let sets = InstructionSet::available().into_iter();
+        let grids: Vec<_> =
+            sets.flat_map(|set| [Storage::Tree, Storage::Compact].map(|storage| grid(set, storage))).collect();
         let of_batch = |index: u64| {
             let mut random = Random::new(index << 8 | seed);
             let first = lattice::bundle(scene, 1.0, Aim::All, &mut random);
