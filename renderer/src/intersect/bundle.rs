@@ -1,9 +1,9 @@
 //! Rays that lie close together and lead the same way, as to a sun: one walk down a hierarchy for all.
 //!
-//! A [`shaft`] around the rays is compared with the 16 boxes of a node at once, or of a group in a leaf, and each box that it
-//! passes with all rays, one a lane. Triangles are tested in single precision, after Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection"
-//! (2013): corners are sheared so that the ray becomes an axis. [`super::triangle`] decides where rounding could change
-//! the answer, so the answers are those of rays that go alone.
+//! A [`shaft`] around the rays is compared with the 16 boxes of a node at once, or in a leaf with those of 16 groups, then with
+//! those of a group; each box that it passes is compared with all rays, one a lane. Triangles are tested in single precision,
+//! after Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection" (2013): corners are sheared so that the ray becomes an
+//! axis. [`super::triangle`] decides where rounding could change the answer, so the answers are those of rays that go alone.
 //!
 //! Axes are the major axis k, along which all rays advance, and u and v across it, mirrored so that rays go up along each.
 //! Depths count along k.
@@ -15,7 +15,7 @@ use crate::{
         Grid,
         tree::{
             Tree,
-            boxes::GROUP,
+            boxes::{GROUP, PlacedGroups},
             hierarchy::{self, CHILDREN, Hierarchy, LEAF, NONE, SLOT_BITS},
         },
     },
@@ -26,7 +26,7 @@ use crate::{
     },
     simd::{Simd, consecutive},
 };
-use shaft::{BoxRows, GroupRows, Shaft};
+use shaft::{BoxRows, Shaft};
 
 /// Most rays of a bundle.
 pub(super) const MOST_RAYS: usize = 16;
@@ -37,10 +37,9 @@ const FEWEST_RAYS: usize = 8;
 /// Most difference between slopes of rays that go together.
 const WIDEST: f32 = 1.0 / 16.0;
 
-/// Typical triangles that cover the widest shaft's section. Rays to a sun from the dragon, seen close, take 0.84 of the time of
-/// rays alone with 4 to 16, and those from two scans of ten million triangles 0.93 and 0.72 with 4, 0.75 and 0.70 with 8, 0.69
-/// with 16; but seen whole 1.01 with 4, 1.03 with 8, and 1.07 with 32.
-const TRIANGLES_ACROSS: f32 = 8.0;
+/// Typical triangles that cover the section of the widest shaft. With more, rays gain little close by, and lose where scans are
+/// seen whole; tests/README.md has figures.
+const TRIANGLES_IN_SECTION: f32 = 8.0;
 
 /// The greatest slope: along the major axis of one ray of a bundle, others may be a little steeper than 1.
 const STEEPEST: f32 = 2.0;
@@ -51,8 +50,12 @@ const GREATEST_INVERSE: f32 = 1e12;
 /// Farthest distances within a bundle, in extents of the grid: single precision bounds them well.
 const FARTHEST: f64 = 64.0;
 
-/// Rounding error of a shaft, relative to the farthest distance within it: a dozen roundings, and twenty to spare.
+/// Rounding error of a shaft, relative to the farthest distance within it: fifteen roundings, and seventeen to spare.
 const SHAFT_MARGIN: f64 = 32.0 / (1u32 << 24) as f64;
+
+/// Rounding error of boxes within a leaf's cube, in finest cells: six roundings of at most a brick's 1,024 cells, and ten to
+/// spare.
+const CUBE_MARGIN: f64 = 1.0 / 1024.0;
 
 /// Rounding error of an edge's side, relative to the product of the farthest distance and the sheared corners' largest
 /// coordinate: 46 roundings, for slopes up to 2, and 18 to spare.
@@ -85,19 +88,20 @@ struct RayLanes {
 pub(super) struct Bundles<'a> {
     grid: &'a Grid,
     tree: &'a Tree,
-    /// Largest section of a shaft, in finest cells: where triangles are finer, rays meet different ones, and are faster alone.
+    /// Largest section of a shaft, in squares of finest cells: where triangles are finer, rays meet different ones, and are
+    /// faster alone.
     widest_section: f32,
-    /// A triangle that hid rays of the last bundle, if all of them hit something. It is tested first, because it may well hide
-    /// those of the next (Haines and Greenberg, "The Light Buffer: A Shadow-Testing Accelerator", 1986).
+    /// A triangle that hid rays of the last bundle, if none of them was left. It is tested first, because it may well hide those
+    /// of the next (Haines and Greenberg, "The Light Buffer: A Shadow-Testing Accelerator", 1986).
     occluder: Option<u32>,
 }
 
 impl<'a> Bundles<'a> {
     pub(super) fn new(grid: &'a Grid, tree: &'a Tree) -> Self {
         let Hierarchy { triangle_nodes, typical_area, .. } = &tree.hierarchy;
-        let n_leaves = tree.leaf_cubes.len().max(1);
-        let per_item = if triangle_nodes.is_empty() { tree.n_items() as f32 / n_leaves as f32 } else { 1.0 };
-        Self { grid, tree, widest_section: TRIANGLES_ACROSS * typical_area / per_item, occluder: None }
+        let [n_items, n_leaves] = [tree.n_items(), tree.leaf_cubes.len()].map(|n| n.max(1) as f32);
+        let items_per_box = if triangle_nodes.is_empty() { n_items / n_leaves } else { 1.0 };
+        Self { grid, tree, widest_section: TRIANGLES_IN_SECTION * typical_area / items_per_box, occluder: None }
     }
 
     /// A bit for each of up to [`MOST_RAYS`] rays that hits something; `None` if they do not go together.
@@ -278,7 +282,7 @@ impl Bundle<'_> {
             farthest += first_in_cells[local_axis].abs() + in_cells(high - low);
             self.reach = self.reach.max(bounds.max[axis] - low).max(high - bounds.min[axis]);
         }
-        let margin = farthest * SHAFT_MARGIN + 1.0 / 1024.0;
+        let margin = farthest * SHAFT_MARGIN + CUBE_MARGIN;
         let shaft = &mut self.shaft;
         first_in_cells[0] += in_cells(start);
         for local_axis in 0..3 {
@@ -303,7 +307,7 @@ impl Bundle<'_> {
         // Each entry has a bit for each ray that passes its box; others may have occluded these rays when it is taken.
         let (mut stack, mut n_stack) = ([(NONE, 0); N_STACK], 2);
         stack[1] = (*root, self.left);
-        let mut rows = BoxRows::default();
+        let (mut rows, mut groups) = (BoxRows::default(), PlacedGroups::NONE);
         loop {
             n_stack -= 1;
             let (entry, rays) = stack[n_stack % N_STACK];
@@ -316,7 +320,7 @@ impl Bundle<'_> {
             let index = (entry & !LEAF) as usize;
             if entry & LEAF != 0 {
                 if OVER_LEAVES {
-                    self.visit_leaf::<S>(index as u32);
+                    self.visit_leaf::<S>(index as u32, &mut groups, &mut rows);
                 } else {
                     let node = &triangle_nodes[index];
                     let passed = self.shaft.passed_children::<S>(node, &mut rows);
@@ -329,9 +333,11 @@ impl Bundle<'_> {
             while passed != 0 {
                 let slot = (passed.trailing_zeros() as usize ^ self.shaft.nearest) % CHILDREN;
                 passed &= passed - 1;
-                let (child, rays) = (node.children[slot], self.passing::<S>(&rows, slot));
+                let (child, rays) = (node.children[slot], self.passing::<S>(&rows.0, slot));
                 if rays != 0 {
-                    self.tree.hierarchy.prefetch::<S>(child);
+                    if !OVER_LEAVES || child & LEAF == 0 {
+                        self.tree.hierarchy.prefetch::<S>(child);
+                    }
                     stack[n_stack % N_STACK] = (child, rays);
                     n_stack += 1;
                 }
@@ -341,30 +347,29 @@ impl Bundle<'_> {
 
     /// Tests the triangles in a leaf of the tree: those in groups whose bounds, and in boxes, that rays pass.
     #[inline(always)]
-    fn visit_leaf<S: Simd>(&mut self, leaf: u32) {
+    fn visit_leaf<S: Simd>(&mut self, leaf: u32, placed: &mut PlacedGroups, rows: &mut BoxRows) {
         let Tree { boxes, leaf_cubes, .. } = self.tree;
         let items = self.tree.items_of(leaf);
         let (n_groups, groups) = (items.len().div_ceil(GROUP), boxes.of_groups(leaf, items.clone()));
         let leaf_cube = self.shaft.leaf_cube(leaf_cubes[leaf as usize]);
-        let (mut group_rows, mut rows) = (GroupRows::default(), BoxRows::default());
         for first_group in (0..n_groups).step_by(GROUP) {
-            let mut passed = self.shaft.passed_groups::<S>(&leaf_cube, groups.batch(first_group), &mut group_rows);
+            let mut passed = self.shaft.passed_groups::<S>(&leaf_cube, groups.batch(first_group), placed);
             while passed != 0 {
                 let group = passed.trailing_zeros() as usize % GROUP;
                 passed &= passed - 1;
-                if self.passing::<S>(&group_rows.bounds, group) == 0 {
+                if self.passing::<S>(&placed.sides, group) == 0 {
                     continue;
                 }
                 let first = items.start + (first_group + group) * GROUP;
                 let of_group = boxes.group(first, (items.end - first).min(GROUP));
-                let passed = self.shaft.passed_boxes::<S>(&group_rows, group, of_group, &mut rows);
-                self.visit_boxes::<S, true>(&rows, passed, 0, &consecutive(first as u32));
+                let passed = self.shaft.passed_boxes::<S>(placed, group, of_group, rows);
+                self.visit_boxes::<S, true>(rows, passed, 0, &consecutive(first as u32));
             }
         }
     }
 
-    /// Tests the triangles in boxes with a bit in `passed`, each at its slot's number with the bits of `flip` inverted, that
-    /// rays pass. `triangles` has the triangle of each slot, or its item.
+    /// Tests the triangles whose boxes rays pass. `passed` has a bit for each box that the shaft passes, at its slot's number with
+    /// the bits of `flip` inverted; `triangles` has the triangle of each slot, or its item.
     #[inline(always)]
     fn visit_boxes<S: Simd, const ARE_ITEMS: bool>(
         &mut self,
@@ -377,7 +382,7 @@ impl Bundle<'_> {
         while passed != 0 {
             let slot = (passed.trailing_zeros() as usize ^ flip) % CHILDREN;
             passed &= passed - 1;
-            let rays = self.passing::<S>(rows, slot);
+            let rays = self.passing::<S>(&rows.0, slot);
             if rays != 0 {
                 let triangle = triangles[slot];
                 let triangle = if ARE_ITEMS { self.tree.items.triangle(triangle) } else { triangle };
@@ -395,7 +400,7 @@ impl Bundle<'_> {
 
     /// A bit for each ray left that passes the box in a slot.
     #[inline(always)]
-    fn passing<S: Simd>(&self, BoxRows(rows): &BoxRows, slot: usize) -> u32 {
+    fn passing<S: Simd>(&self, rows: &[[f32; CHILDREN]; 6], slot: usize) -> u32 {
         let RayLanes { ends, inverses, bases, .. } = &self.lanes;
         let mut passing = 0;
         for lane in (0..MOST_RAYS).step_by(S::LANES) {
@@ -551,10 +556,14 @@ mod tests {
         let expected = left.iter().map(|ray| u32::from(grid.occluded(ray))).rev().fold(0, |mask, hit| mask << 1 | hit);
         assert_eq!(occluded(&left), (Some(expected), None));
         assert!(expected != 0 && expected != 0xffff);
-        assert_eq!(occluded(&rays(40.0)).0, None, "far apart");
-        let mut apart = rays(0.01);
-        apart[15].direction.x = 0.5;
-        assert_eq!(occluded(&apart).0, None, "not parallel");
+        for (spacing, why) in [(40.0, "far apart"), (15.0, "a wide shaft")] {
+            assert_eq!(occluded(&rays(spacing)).0, None, "{why}");
+        }
+        for lane in [7, 15] {
+            let mut apart = rays(0.01);
+            apart[lane].direction.x = 0.5;
+            assert_eq!(occluded(&apart).0, None, "ray {lane} is not parallel");
+        }
 
         // A triangle that hid all rays of a bundle is tested first for the next, and need not hide it.
         let mut within = rays(0.01);

@@ -188,6 +188,7 @@ impl<F: FnMut(usize, Nearest)> Kernel for BundlesAndStream<'_, F> {
 
     #[inline(always)]
     fn run<S: Simd>(self) {
+        const { assert!(bundle::MOST_RAYS == 16, "runs of rays begin at multiples of 16") };
         let Self { grid, tree, rays, mut answer } = self;
         let mut bundles = Bundles::new(grid, tree);
         let mut runs_alone: Vec<Range<usize>> = Vec::new();

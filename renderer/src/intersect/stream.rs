@@ -245,7 +245,7 @@ pub(super) struct RayStream<'a, F, const ANY: bool> {
 }
 
 impl<'a, F: FnMut(usize, Nearest), const ANY: bool> RayStream<'a, F, ANY> {
-    /// `runs` of rays that follow each other begin at multiples of 16, and have a ray each.
+    /// Each of the `runs` begins at a multiple of 16, where lanes are prepared anew; only the first may be empty.
     pub(super) fn new(grid: &'a Grid, tree: &'a Tree, rays: &'a [Ray], runs: &'a [Range<usize>], answer: F) -> Self {
         // Rays of which any hit counts take 0.95 to 1.1 of the time with hints.
         let hints = !ANY && tree.exceeds_caches();

@@ -81,9 +81,9 @@ impl Cache {
     /// # Errors
     /// A text that says why the cache is not used.
     pub fn of_user() -> Result<Self, String> {
-        let without =
-            "there is no folder for scene files, as neither XDG_CACHE_HOME nor HOME names one: set XDG_CACHE_HOME";
-        Self::at(folder_of_user().ok_or(without)?, MOST_BYTES)
+        let variable = if cfg!(windows) { "LOCALAPPDATA" } else { "XDG_CACHE_HOME" };
+        let without = || format!("there is no folder for scene files: set {variable} to an absolute path");
+        Self::at(folder_of_user().ok_or_else(without)?, MOST_BYTES)
     }
 
     /// The cache in a folder that only this user may write: whoever writes there decides what is traced without checks.

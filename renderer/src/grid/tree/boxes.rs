@@ -330,16 +330,39 @@ pub(crate) struct BoxLanes<S> {
     v: [S; 2],
 }
 
-/// Up to sixteen groups in memory: bounds as in [`BoxLanes`], and lengths of steps along k, u and v.
+/// Up to sixteen groups in memory: the near and far side of each along k, then u and v, and lengths of steps along them.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub(crate) struct PlacedGroups {
-    sides: [[f32; 16]; 6],
-    steps: [[f32; 16]; 3],
+    pub(crate) sides: [[f32; GROUP]; 6],
+    pub(crate) steps: [[f32; GROUP]; 3],
 }
 
 impl PlacedGroups {
-    pub(crate) const NONE: Self = Self { sides: [[0.0; 16]; 6], steps: [[0.0; 16]; 3] };
+    pub(crate) const NONE: Self = Self { sides: [[0.0; GROUP]; 6], steps: [[0.0; GROUP]; 3] };
+
+    /// The sides of a group's boxes from number `first` on, a multiple of [`Simd::LANES`] below [`GROUP`]; lanes beyond the last
+    /// box are undefined. `sides` are numbered as in [`GroupBounds::sides`], two for each axis.
+    #[inline(always)]
+    pub(crate) fn boxes<S: Simd>(
+        &self,
+        sides: [usize; 6],
+        group: usize,
+        boxes: GroupBoxes<'_>,
+        first: usize,
+    ) -> [S; 6] {
+        let mut of_boxes = [S::splat(0.0); 6];
+        for axis in 0..3 {
+            let [near, far] = [2 * axis, 2 * axis + 1];
+            let is_backward = sides[near] % 2 == 1;
+            // SAFETY: sides are those of three axes; the caller's `first`.
+            let [from_near, from_far] = unsafe { boxes.steps::<S>(sides[near] / 2, is_backward, first) };
+            let step = S::splat(self.steps[axis][group]);
+            of_boxes[near] = from_near.mul_add(step, S::splat(self.sides[near][group]));
+            of_boxes[far] = from_far.neg_mul_add(step, S::splat(self.sides[far][group]));
+        }
+        of_boxes
+    }
 }
 
 impl<'a> LeafGroups<'a> {
@@ -410,17 +433,7 @@ impl<'a> LeafGroups<'a> {
         boxes: GroupBoxes<'_>,
         first: usize,
     ) -> BoxLanes<S> {
-        let mut sides = [S::splat(0.0); 6];
-        for axis in 0..3 {
-            let [least, greatest] = [2 * axis, 2 * axis + 1];
-            let is_backward = self.sides[least] % 2 == 1;
-            // SAFETY: sides are those of three axes; the caller's `first`.
-            let [from_least, from_greatest] = unsafe { boxes.steps::<S>(self.sides[least] / 2, is_backward, first) };
-            let step = S::splat(placed.steps[axis][lane]);
-            sides[least] = from_least.mul_add(step, S::splat(placed.sides[least][lane]));
-            sides[greatest] = from_greatest.neg_mul_add(step, S::splat(placed.sides[greatest][lane]));
-        }
-        let [near, far, u_low, u_high, v_low, v_high] = sides;
+        let [near, far, u_low, u_high, v_low, v_high] = placed.boxes(self.sides, lane, boxes, first);
         BoxLanes { near, far, u: [u_low, u_high], v: [v_low, v_high] }
     }
 }

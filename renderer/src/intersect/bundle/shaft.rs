@@ -2,7 +2,7 @@
 
 use crate::{
     grid::tree::{
-        boxes::{self, GROUP, GroupBatch, GroupBoxes, LeafCube},
+        boxes::{self, GROUP, GroupBatch, GroupBoxes, LeafCube, PlacedGroups},
         hierarchy::{CHILDREN, HierarchyNode},
     },
     simd::Simd,
@@ -11,7 +11,8 @@ use crate::{
 /// Bounds of a bundle's rays, in finest cells from the first ray's origin; depths count from where the first ray begins.
 #[derive(Default)]
 pub(super) struct Shaft {
-    /// The near and far side along each axis: twice the axis, and one more for the greatest side.
+    /// The near and far side along each axis: twice the axis, and one more for the greatest side. All are below six, and two
+    /// are those of one axis: groups and boxes are read without checks.
     pub(super) sides: [usize; 6],
     /// 1 or −1 along each axis, and where sides with coordinate 0 lie, moved out by the rounding error.
     pub(super) signs: [f32; 3],
@@ -30,15 +31,7 @@ pub(super) struct Shaft {
 #[repr(align(64))]
 pub(super) struct BoxRows(pub(super) [[f32; CHILDREN]; 6]);
 
-/// Groups of boxes in a shaft.
-#[derive(Default)]
-pub(super) struct GroupRows {
-    pub(super) bounds: BoxRows,
-    /// A step along the bounds of each, by axis.
-    steps: [[f32; GROUP]; 3],
-}
-
-/// A map from the sides of groups in a leaf's cube to a shaft: a step along each axis, and value 0 of each side.
+/// A map from the sides of groups in a leaf's cube to a shaft: a step along each axis, and where byte 0 of each side lies.
 pub(super) struct LeafCubeInShaft {
     steps: [f32; 3],
     bases: [f32; 6],
@@ -95,7 +88,7 @@ impl Shaft {
         &self,
         cube: &LeafCubeInShaft,
         groups: GroupBatch<'_>,
-        rows: &mut GroupRows,
+        placed: &mut PlacedGroups,
     ) -> u32 {
         let mut passed = 0;
         for first in (0..GROUP).step_by(S::LANES) {
@@ -104,13 +97,13 @@ impl Shaft {
             let mut sides = [S::splat(0.0); 6];
             for side in 0..6 {
                 sides[side] = of_cube[side].mul_add(S::splat(cube.steps[side / 2]), S::splat(cube.bases[side]));
-                sides[side].store(&mut rows.bounds.0[side][first..]);
+                sides[side].store(&mut placed.sides[side][first..]);
             }
             for axis in 0..3 {
                 let step = S::splat(cube.steps[axis] * (1.0 / f32::from(boxes::N_GROUP_STEPS)));
-                of_cube[2 * axis + 1].sub(of_cube[2 * axis]).mul(step).store(&mut rows.steps[axis][first..]);
+                of_cube[2 * axis + 1].sub(of_cube[2 * axis]).mul(step).store(&mut placed.steps[axis][first..]);
             }
-            passed |= (!self.miss_signs(sides).sign_mask() & ((1u64 << S::LANES) - 1) as u32) << first;
+            passed |= self.passed(sides) << first;
         }
         passed & groups.mask()
     }
@@ -119,29 +112,26 @@ impl Shaft {
     #[inline(always)]
     pub(super) fn passed_boxes<S: Simd>(
         &self,
-        groups: &GroupRows,
+        placed: &PlacedGroups,
         group: usize,
         boxes: GroupBoxes<'_>,
         BoxRows(rows): &mut BoxRows,
     ) -> u32 {
         let mut passed = 0;
         for first in (0..GROUP).step_by(S::LANES) {
-            let mut sides = [S::splat(0.0); 6];
-            for axis in 0..3 {
-                let [near, far] = [2 * axis, 2 * axis + 1];
-                // SAFETY: sides are those of three axes, and `first` is a multiple of the lanes.
-                let [from_near, from_far] =
-                    unsafe { boxes.steps::<S>(self.sides[near] / 2, self.sides[near] % 2 == 1, first) };
-                let step = S::splat(groups.steps[axis][group]);
-                sides[near] = from_near.mul_add(step, S::splat(groups.bounds.0[near][group]));
-                sides[far] = from_far.neg_mul_add(step, S::splat(groups.bounds.0[far][group]));
-            }
+            let sides = placed.boxes::<S>(self.sides, group, boxes, first);
             for side in 0..6 {
                 sides[side].store(&mut rows[side][first..]);
             }
-            passed |= (!self.miss_signs(sides).sign_mask() & ((1u64 << S::LANES) - 1) as u32) << first;
+            passed |= self.passed(sides) << first;
         }
         passed & boxes.mask()
+    }
+
+    /// A bit for each lane whose box the shaft passes.
+    #[inline(always)]
+    fn passed<S: Simd>(&self, sides: [S; 6]) -> u32 {
+        !self.miss_signs(sides).sign_mask() & ((1u64 << S::LANES) - 1) as u32
     }
 
     /// Sign bit set in lanes of boxes with these sides that the shaft misses.
