@@ -75,14 +75,16 @@ pub struct CachedPart {
     pub is_arriving: bool,
 }
 
+/// The variable that names the folder in which the cache lies.
+pub(crate) const FOLDER_VARIABLE: &str = if cfg!(windows) { "LOCALAPPDATA" } else { "XDG_CACHE_HOME" };
+
 impl Cache {
     /// The user's cache, whose folder is made if it is not there. See [`Cache::at`].
     ///
     /// # Errors
     /// A text that says why the cache is not used.
     pub fn of_user() -> Result<Self, String> {
-        let variable = if cfg!(windows) { "LOCALAPPDATA" } else { "XDG_CACHE_HOME" };
-        let without = || format!("there is no folder for scene files: set {variable} to an absolute path");
+        let without = || format!("there is no folder for scene files: set {FOLDER_VARIABLE} to an absolute path");
         Self::at(folder_of_user().ok_or_else(without)?, MOST_BYTES)
     }
 
@@ -98,7 +100,7 @@ impl Cache {
         #[cfg(unix)]
         std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
         builder.create(&seals).map_err(|error| {
-            told(&format_args!("the cache cannot be made: {error}: name another folder with XDG_CACHE_HOME"))
+            told(&format_args!("the cache cannot be made: {error}: name another folder with {FOLDER_VARIABLE}"))
         })?;
         for folder in [&folder, &seals] {
             if !is_private(folder).map_err(|error| told(&error))? {
@@ -231,12 +233,8 @@ impl Cache {
 
 fn folder_of_user() -> Option<PathBuf> {
     let absolute = |name: &str| env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
-    let folder = if cfg!(windows) {
-        absolute("LOCALAPPDATA")
-    } else {
-        absolute("XDG_CACHE_HOME").or_else(|| Some(absolute("HOME")?.join(".cache")))
-    };
-    Some(folder?.join("raywall"))
+    let of_home = || if cfg!(windows) { None } else { Some(absolute("HOME")?.join(".cache")) };
+    Some(absolute(FOLDER_VARIABLE).or_else(of_home)?.join("raywall"))
 }
 
 /// Whether nobody but this user may write in a folder.

@@ -26,7 +26,11 @@ use tokio::{
 use crate::{
     cli::free_memory::free_disk,
     grid::MemoryBudget,
-    scene_file::{cache::Cache, fault::Fault, part::Part},
+    scene_file::{
+        cache::{Cache, FOLDER_VARIABLE},
+        fault::Fault,
+        part::Part,
+    },
     server::connect::{WallAddress, connect},
 };
 
@@ -75,7 +79,7 @@ pub(crate) enum FetchError {
     #[error("the wall's scene file: {0}; open the model there again, and build both programs from one commit")]
     Damaged(Fault),
     #[error(
-        "its scene file cannot be written to {folder}: {error}; free some of the disk, or name a folder on another with XDG_CACHE_HOME"
+        "its scene file cannot be written to {folder}: {error}; free some of the disk, or name a folder on another with {FOLDER_VARIABLE}"
     )]
     Disk { folder: String, error: io::Error },
     #[error("the wall spoke out of turn: build both programs from one commit")]
@@ -262,7 +266,7 @@ impl Arrival<'_> {
         };
         if free_disk(self.cache.folder()).is_some_and(|free| n_bytes > free.saturating_add(n_there) / part_of_free) {
             return too_large(format!(
-                "{portion} is free on the disk of {}: free some, name a folder on another with XDG_CACHE_HOME{cure}",
+                "{portion} is free on the disk of {}: free some, name a folder on another with {FOLDER_VARIABLE}{cure}",
                 self.cache.folder().display()
             ));
         }
