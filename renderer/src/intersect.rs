@@ -1,8 +1,8 @@
 //! Traces rays through a grid, alone or in packets, and decides their hits.
 //!
 //! [`ray`] holds a ray and its hit; [`triangle`] decides whether a ray hits a triangle, with sums from [`exact`] where
-//! rounding could change the answer. [`rays`] traces many rays of any origins: a [`stream`] of them by [`descent`]s to
-//! the leaves of the tree, a [`bundle`] where they go together, or by a [`walk`] through uniform cells, with [`filter`]
+//! rounding could change the answer. [`rays`] traces many rays of any origins: a [`stream`] of them by [`descent`]s from
+//! [`entry_points`] to the leaves of the tree, a [`bundle`] where they go together, or by a [`walk`] through uniform cells, with [`filter`]
 //! before each list of triangles; [`packet`] traces many rays together, and is compiled for each instruction set of
 //! [`crate::simd`]. [`margins`] bounds rounding errors. [`clip`] traces rays in a scene that a plane cuts open.
 
@@ -10,6 +10,8 @@ mod bundle;
 pub mod clip;
 #[expect(clippy::needless_range_loop, reason = "an axis indexes several arrays at once")]
 mod descent;
+#[expect(clippy::needless_range_loop, reason = "an axis indexes several arrays at once")]
+mod entry_points;
 mod exact;
 #[expect(clippy::needless_range_loop, reason = "an axis or a corner indexes several arrays at once")]
 pub mod filter;

@@ -137,8 +137,9 @@ pub(crate) trait Simd: Copy {
     fn splat(x: f32) -> Self;
     /// Loads the first [`Simd::LANES`] numbers of a slice.
     fn load(from: &[f32]) -> Self;
-    /// Loads the columns of the first [`Simd::LANES`] rows, a row a lane; the last row fills lanes beyond it. There must be one.
-    fn load_columns(rows: &[[f32; 8]]) -> [Self; 8];
+    /// Gathers the columns of the rows at the first [`Simd::LANES`] indices, a row a lane; those beyond the last row give it. There
+    /// must be one.
+    fn gather_columns(rows: &[[f32; 8]], indices: &[u32; 16]) -> [Self; 8];
     /// Loads [`Simd::LANES`] numbers, converted to `f32`, without a check: with checks, rays that go alone take a fifth more
     /// instructions.
     ///
@@ -273,11 +274,11 @@ impl Simd for Portable {
         Self(std::array::from_fn(|lane| if mask & 1 << lane != 0 { yes.0[lane] } else { no.0[lane] }))
     }
     #[inline(always)]
-    fn load_columns(rows: &[[f32; 8]]) -> [Self; 8] {
+    fn gather_columns(rows: &[[f32; 8]], indices: &[u32; 16]) -> [Self; 8] {
         let mut columns = [Self([0.0; 8]); 8];
         for lane in 0..8 {
             for column in 0..8 {
-                columns[column].0[lane] = rows[lane.min(rows.len() - 1)][column];
+                columns[column].0[lane] = rows[(indices[lane] as usize).min(rows.len() - 1)][column];
             }
         }
         columns

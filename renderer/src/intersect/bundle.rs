@@ -122,13 +122,18 @@ impl<'a> Bundles<'a> {
     fn may_go_together(&self, rays: &[Ray], [k, u, v]: [usize; 3]) -> bool {
         let (first, last) = (&rays[0], &rays[rays.len() - 1]);
         let from_first = last.origin - first.origin;
-        let (mut is_parallel, mut distance) = (true, 0.0);
+        let (along_first, along_last) = (first.direction[k], last.direction[k]);
+        let mut distance = 0.0;
         for across in [u, v] {
-            let slope = first.direction[across] / first.direction[k];
-            is_parallel &= (slope - last.direction[across] / last.direction[k]).abs() <= WIDEST;
-            distance += (from_first[across] - from_first[k] * slope).powi(2);
+            // Compare slopes without divisions, which most rays would do for nothing.
+            let difference = first.direction[across] * along_last - last.direction[across] * along_first;
+            let are_parallel = difference.abs() <= WIDEST * (along_first * along_last);
+            if !are_parallel {
+                return false;
+            }
+            distance += (from_first[across] - from_first[k] * (first.direction[across] / along_first)).powi(2);
         }
-        is_parallel && distance * (self.grid.space.cells_per_unit as f32).powi(2) <= 9.0 * self.widest_section
+        distance * (self.grid.space.cells_per_unit as f32).powi(2) <= 9.0 * self.widest_section
     }
 }
 
@@ -160,7 +165,7 @@ impl Bundle<'_> {
         let sign = 1f32.copysign(self.rays[0].direction[k]);
         let (mut along, rows): (_, &[[f32; 8]]) = ([0.0; MOST_RAYS], bytemuck::cast_slice(self.rays));
         for lane in (0..MOST_RAYS).step_by(S::LANES) {
-            let columns = S::load_columns(&rows[lane.min(rows.len() - 1)..]);
+            let columns = S::gather_columns(rows, &consecutive(lane as u32));
             for axis in 0..3 {
                 columns[self.axes[axis]].store(&mut origins[axis][lane..]);
             }

@@ -70,8 +70,10 @@ const NOTHING: Ray = Ray { origin: Vec3::ZERO, direction: Vec3::X, t_min: 0.0, t
 
 /// [`Grid::occluded_rays`] on the parts of rays that a plane keeps; the rays are cut.
 pub fn occluded_rays(grid: &Grid, clip: Option<&ClipPlane>, rays: &mut [Ray], occluded: &mut [bool]) {
-    for ray in &mut *rays {
-        *ray = clip_ray(clip, *ray).unwrap_or(NOTHING);
+    if clip.is_some() {
+        for ray in &mut *rays {
+            *ray = clip_ray(clip, *ray).unwrap_or(NOTHING);
+        }
     }
     grid.occluded_rays(rays, occluded);
 }

@@ -59,9 +59,9 @@ impl Default for Descent {
 }
 
 impl Descent {
-    /// Begins with the ray of a lane, in place of any other.
+    /// Begins with the ray of a lane, in place of any other. With `ANY`, it is not shortened.
     #[inline(always)]
-    pub(super) fn begin(&mut self, starts: &RayStarts, lane: usize) {
+    pub(super) fn begin<const ANY: bool>(&mut self, starts: &RayStarts, lane: usize) {
         self.n_cells = 0;
         self.ahead = 0;
         for axis in 0..3 {
@@ -72,8 +72,10 @@ impl Descent {
             self.slabs.far[axis] = starts.s_far[axis][lane];
         }
         self.s_range = [starts.s_start[lane], starts.s_end[lane]];
-        (self.t_base, self.s_per_t) = (starts.t_base[lane], starts.s_per_t[lane]);
-        self.s_slack = starts.s_slack[lane];
+        if !ANY {
+            (self.t_base, self.s_per_t) = (starts.t_base[lane], starts.s_per_t[lane]);
+            self.s_slack = starts.s_slack[lane];
+        }
 
         // The stack's last entry ends the ray, however far it goes.
         self.stack[0] = hierarchy::NONE;
@@ -101,6 +103,17 @@ impl Descent {
             }
             n_stack += children.compress_bits_to(passed, &mut self.stack[n_stack..]);
             first += S::LANES;
+        }
+        self.n_stack = n_stack as u32;
+    }
+
+    /// Puts those of `entries` on the empty stack that have a bit in `passed`: the last is entered first.
+    #[inline(always)]
+    pub(super) fn enter<S: Simd>(&mut self, entries: &[Entry; CHILDREN], passed: u32) {
+        let mut n_stack = 1;
+        for first in (0..CHILDREN).step_by(S::LANES) {
+            let of_lanes = passed >> first & ((1u64 << S::LANES) - 1) as u32;
+            n_stack += S::load_bits(&entries[first..]).compress_bits_to(of_lanes, &mut self.stack[n_stack..]);
         }
         self.n_stack = n_stack as u32;
     }

@@ -80,7 +80,7 @@ impl Grid {
     ///
     /// # Panics
     ///
-    /// If there are fewer `hits` than `rays`.
+    /// If there are fewer `hits` than `rays`, or 2³² rays.
     pub fn intersect_rays(&self, rays: &[Ray], hits: &mut [Hit]) {
         self.trace::<false>(rays, |index, nearest| hits[index] = nearest.hit());
     }
@@ -89,7 +89,7 @@ impl Grid {
     ///
     /// # Panics
     ///
-    /// If there are fewer entries in `occluded` than `rays`.
+    /// If there are fewer entries in `occluded` than `rays`, or 2³² rays.
     pub fn occluded_rays(&self, rays: &[Ray], occluded: &mut [bool]) {
         self.trace::<true>(rays, |index, nearest| occluded[index] = nearest.is_hit());
     }
@@ -126,7 +126,7 @@ impl Grid {
                 let Tree { hierarchy, extent, .. } = tree;
                 let starts = RayStarts::of_far_ray(&grid.space, *extent, ray);
                 let mut descent = Descent::default();
-                descent.begin(&starts, 0);
+                descent.begin::<true>(&starts, 0);
                 let mut entry = if starts.meeting == 1 { hierarchy.root } else { NONE };
                 while entry != NONE {
                     let index = (entry & !LEAF) as usize;
@@ -156,6 +156,7 @@ impl Grid {
 
     /// Calls `answer` with the index of each ray and its nearest hit, with `ANY` one of its hits, in any order.
     fn trace<const ANY: bool>(&self, rays: &[Ray], mut answer: impl FnMut(usize, Nearest)) {
+        assert!(u32::try_from(rays.len()).is_ok(), "{} rays in one call", rays.len());
         let each = rays.iter().enumerate();
         match &self.structure {
             // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.

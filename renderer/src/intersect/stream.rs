@@ -6,8 +6,6 @@
 
 use std::{cell::Cell, ops::Range, slice};
 
-use glam::Vec3;
-
 use crate::{
     grid::{
         Grid,
@@ -19,9 +17,9 @@ use crate::{
     },
     intersect::{
         descent::{Descent, GroupSlabs, Slabs},
+        entry_points::RayBatch,
         ray::Ray,
         rays::Nearest,
-        starts::RayStarts,
         triangle,
     },
     simd::{Kernel, Real, Simd, consecutive},
@@ -38,10 +36,10 @@ const N_COLLECTED: usize = 128;
 const ROOM: usize = 2 * N_COLLECTED + 32;
 
 /// A ray on its way.
+#[repr(align(64))]
 struct Slot {
     /// Index of the ray.
-    ray_idx: usize,
-    ray: Ray,
+    ray_idx: u32,
     descent: Descent,
     nearest: Nearest,
     /// Of the present leaf.
@@ -50,9 +48,8 @@ struct Slot {
 
 impl Slot {
     fn new() -> Self {
-        let ray = Ray { origin: Vec3::ZERO, direction: Vec3::ZERO, t_min: 0.0, t_max: 0.0 };
         let (descent, nearest) = Default::default();
-        Self { ray_idx: 0, ray, descent, nearest, items: [0; 2] }
+        Self { ray_idx: 0, descent, nearest, items: [0; 2] }
     }
 }
 
@@ -195,11 +192,8 @@ struct State {
     slots: [Slot; N_SLOTS],
     /// The node or leaf that each slot's ray enters next; [`NONE`] at its end.
     entries: [Entry; N_SLOTS],
-    /// Of the slots' rays, three numbers each.
-    origins: [f32; 3 * N_SLOTS + 3],
-    directions: [f32; 3 * N_SLOTS + 3],
     /// The rays that begin next.
-    starts: RayStarts,
+    batch: RayBatch,
     groups: Groups,
     /// Triangles that rays may hit, or items of leaves.
     triangles: Pairs,
@@ -211,13 +205,10 @@ impl State {
     #[cold]
     #[inline(never)]
     fn new() -> Box<Self> {
-        let coordinates = [0.0; 3 * N_SLOTS + 3];
         Box::new(Self {
             slots: std::array::from_fn(|_| Slot::new()),
             entries: [NONE; N_SLOTS],
-            origins: coordinates,
-            directions: coordinates,
-            starts: RayStarts::default(),
+            batch: RayBatch::EMPTY,
             groups: Groups::EMPTY,
             triangles: Pairs::EMPTY,
         })
@@ -251,7 +242,8 @@ impl<'a, F: FnMut(usize, Nearest), const ANY: bool> RayStream<'a, F, ANY> {
         let hints = !ANY && tree.exceeds_caches();
         let mut runs = runs.iter();
         let Range { start, end } = runs.next().cloned().unwrap_or_default();
-        let state = STATE.take().unwrap_or_else(State::new);
+        let mut state = STATE.take().unwrap_or_else(State::new);
+        state.batch.clear();
         Self { grid, tree, rays, answer, next_ray: start, end, runs, hints, state }
     }
 }
@@ -314,27 +306,15 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
     #[inline(always)]
     fn begin_ray<S: Simd>(&mut self, slot: u32) {
         let slot_idx = slot as usize % N_SLOTS;
-        let lane = self.next_ray % S::LANES;
-        let (space, extent) = (&self.grid.space, self.tree.extent);
-        if lane == 0 {
-            self.state.starts = RayStarts::new::<S>(space, extent, &self.rays[self.next_ray..]);
+        let (space, ray_idx, ray) = (&self.grid.space, self.next_ray, &self.rays[self.next_ray]);
+        if !self.state.batch.holds(ray_idx) {
+            self.state.batch.prepare::<S, ANY>(space, self.tree, ray_idx, &self.rays[ray_idx..self.end]);
         }
-        let ray = &self.rays[self.next_ray];
         let begun = &mut self.state.slots[slot_idx];
-        (begun.ray_idx, begun.ray, begun.nearest) = (self.next_ray, *ray, Nearest::default());
-        let at = 3 * slot_idx;
-        self.state.origins[at..at + 3].copy_from_slice(&ray.origin.to_array());
-        self.state.directions[at..at + 3].copy_from_slice(&ray.direction.to_array());
+        (begun.ray_idx, begun.nearest) = (ray_idx as u32, Nearest::default());
 
-        let mut meeting = self.state.starts.meeting >> lane & 1;
-        if self.state.starts.far >> lane & 1 == 0 {
-            begun.descent.begin(&self.state.starts, lane);
-        } else {
-            let start = RayStarts::of_far_ray(space, extent, ray);
-            meeting = start.meeting;
-            begun.descent.begin(&start, 0);
-        }
-        self.state.entries[slot_idx] = if meeting == 1 { self.tree.hierarchy.root } else { NONE };
+        let first = self.state.batch.begin::<S, ANY>(space, self.tree, (ray_idx, ray), &mut begun.descent);
+        self.state.entries[slot_idx] = first;
         self.next_ray += 1;
         if self.next_ray == self.end
             && let Some(run) = self.runs.next()
@@ -348,7 +328,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
     fn end_ray(&mut self, slot: u32) {
         let Slot { ray_idx, descent, nearest, .. } = &mut self.state.slots[slot as usize % N_SLOTS];
         nearest.cost.n_cells = descent.n_cells;
-        (self.answer)(*ray_idx, *nearest);
+        (self.answer)(*ray_idx as usize, *nearest);
     }
 
     /// Tests the triangles in the leaves that these slots' rays enter, and takes the rays on.
@@ -492,13 +472,15 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
                 points[corner][axis].store(&mut corners[corner][axis]);
             }
         }
+        let mut ray_indices = [0; 16];
+        for lane in 0..S::LANES {
+            ray_indices[lane] = self.state.slots[slots[lane] as usize % N_SLOTS].ray_idx;
+        }
         let (mut origin, mut direction) = ([[0.0; 16]; 3], [[0.0; 16]; 3]);
-        // SAFETY: all slots have three numbers, and three more follow the last.
-        let (origins, directions) =
-            unsafe { (S::gather_xyz(&self.state.origins, slots), S::gather_xyz(&self.state.directions, slots)) };
+        let columns = S::gather_columns(bytemuck::cast_slice(self.rays), &ray_indices);
         for axis in 0..3 {
-            origins[axis].store(&mut origin[axis]);
-            directions[axis].store(&mut direction[axis]);
+            columns[axis].store(&mut origin[axis]);
+            columns[3 + axis].store(&mut direction[axis]);
         }
 
         // Decide, and offer the hits to their rays.
@@ -513,9 +495,10 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
                 left &= left - 1;
                 let triangle = triangles[first_lane + lane];
                 let slot = &mut self.state.slots[slots[first_lane + lane] as usize];
+                let ray = &self.rays[slot.ray_idx as usize];
                 let certain_t = (decision.uncertain >> lane & 1 == 0).then_some(ts[lane]);
-                if let Some(t) = triangle::finish(&slot.ray, certain_t, || mesh.corners_by_call(triangle)) {
-                    slot.nearest.offer(mesh, &slot.ray, triangle, t);
+                if let Some(t) = triangle::finish(ray, certain_t, || mesh.corners_by_call(triangle)) {
+                    slot.nearest.offer(mesh, ray, triangle, t);
                 }
             }
         }

@@ -43,7 +43,7 @@ impl Kernel for LoadsColumns {
         let rows: [[f32; 8]; 20] = std::array::from_fn(|row| std::array::from_fn(|column| (8 * row + column) as f32));
         for n in 1..=rows.len() {
             let mut lanes = [0.0; 16];
-            for (column, of_column) in S::load_columns(&rows[..n]).into_iter().enumerate() {
+            for (column, of_column) in S::gather_columns(&rows[..n], &consecutive(0)).into_iter().enumerate() {
                 of_column.store(&mut lanes);
                 assert!((0..S::LANES).all(|lane| lanes[lane] == rows[lane.min(n - 1)][column]), "{n} {column}");
             }

@@ -127,6 +127,17 @@ unsafe fn transposed_512([a, b, c, d]: [__m512; 4]) -> [__m512; 4] {
     }
 }
 
+/// The row at an index, or the last one if that is beyond it.
+///
+/// # Safety
+///
+/// The instruction set is AVX2.
+#[inline(always)]
+unsafe fn row_at(rows: &[[f32; 8]], index: u32) -> __m256 {
+    // SAFETY: the caller's.
+    unsafe { _mm256_loadu_ps(rows[(index as usize).min(rows.len() - 1)].as_ptr()) }
+}
+
 /// The eight bytes from a lattice point's first.
 ///
 /// # Safety
@@ -145,12 +156,12 @@ impl Simd for Avx2 {
     type Double = Avx2Double;
     call_with_features!(Avx2, "avx2,fma,bmi1,bmi2,popcnt,lzcnt");
     #[inline(always)]
-    fn load_columns(rows: &[[f32; 8]]) -> [Self; 8] {
+    fn gather_columns(rows: &[[f32; 8]], indices: &[u32; 16]) -> [Self; 8] {
         // SAFETY: as above.
         unsafe {
             let mut of_rows = [[_mm256_setzero_ps(); 4]; 2];
             for row in 0..8 {
-                of_rows[row / 4][row % 4] = _mm256_loadu_ps(rows[row.min(rows.len() - 1)].as_ptr());
+                of_rows[row / 4][row % 4] = row_at(rows, indices[row]);
             }
             // Columns 0 to 3 lie in the lower halves, the others in the upper ones.
             let (first, last) = (transposed_256(of_rows[0]), transposed_256(of_rows[1]));
@@ -342,15 +353,15 @@ impl Simd for Avx512 {
     type Double = Avx512Double;
     call_with_features!(Avx512, "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt");
     #[inline(always)]
-    fn load_columns(rows: &[[f32; 8]]) -> [Self; 8] {
+    fn gather_columns(rows: &[[f32; 8]], indices: &[u32; 16]) -> [Self; 8] {
         // SAFETY: as above.
         unsafe {
             let mut of_rows = [[_mm512_setzero_ps(); 4]; 2];
             for row in 0..8 {
                 // Rows that lie four apart share a vector.
                 let (half, row) = (row / 4, row % 4);
-                let low = _mm256_loadu_ps(rows[(8 * half + row).min(rows.len() - 1)].as_ptr());
-                let high = _mm256_loadu_ps(rows[(8 * half + row + 4).min(rows.len() - 1)].as_ptr());
+                let low = row_at(rows, indices[8 * half + row]);
+                let high = row_at(rows, indices[8 * half + row + 4]);
                 let (low, high) = (_mm512_castps_pd(_mm512_castps256_ps512(low)), _mm256_castps_pd(high));
                 of_rows[half][row] = _mm512_castpd_ps(_mm512_insertf64x4::<1>(low, high));
             }

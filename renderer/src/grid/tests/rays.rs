@@ -62,8 +62,42 @@ fn rays_together(mesh: &Mesh) -> impl Strategy<Value = Vec<Ray>> + use<> {
     )
 }
 
+/// Many rays that begin close together and lead anywhere, most of them short, and some that no grid can hold.
+fn rays_around(mesh: &Mesh) -> impl Strategy<Value = Vec<Ray>> + use<> {
+    let spread = prop_oneof![Just(0.0f32), Just(1e-3), Just(0.1), Just(2.0)];
+    let length = || prop_oneof![4 => 0.0..0.3f32, 1 => 0.0..3.0f32];
+    let factor = || prop_oneof![30 => Just(1.0f32), 1 => Just(1e20), 1 => Just(f32::NAN)];
+    let each = || (prop::array::uniform3(-1.0..1.0f32), direction(), length(), factor());
+    (ray(mesh), spread, prop::collection::vec(each(), 30..200)).prop_map(|(first, spread, each)| {
+        let around = |(origin, direction, t_max, factor): ([f32; 3], Vec3, f32, f32)| {
+            let origin = (first.origin + Vec3::from(origin) * spread) * factor;
+            Ray { t_max: t_max * factor, ..Ray::new(origin, direction) }
+        };
+        each.into_iter().map(around).collect()
+    })
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn rays_that_begin_close_together_are_occluded_as_alone(
+        (mesh, rays) in prop_oneof![Just(cube(4)), Just(statue::generate(6000, &|_| ()))].prop_flat_map(|mesh| {
+            let rays = rays_around(&mesh);
+            (Just(mesh), rays)
+        }),
+    ) {
+        for mut grid in [build(&mesh), over_leaves(build(&mesh))] {
+            for instructions in InstructionSet::available() {
+                grid = grid.with_instructions(instructions);
+                let mut occluded = vec![false; rays.len()];
+                grid.occluded_rays(&rays, &mut occluded);
+                for (ray, occluded) in rays.iter().zip(occluded) {
+                    prop_assert_eq!(occluded, !grid.intersect(ray).is_miss(), "{:?}: {:?}", instructions, ray);
+                }
+            }
+        }
+    }
 
     #[test]
     fn rays_that_go_together_are_occluded_as_alone(
