@@ -111,7 +111,7 @@ impl RayBatch {
             NONE
         } else if ANY && self.has_entry_points {
             descent.enter::<S>(&self.entry_points.entries, self.passed[vector][lane]);
-            descent.next::<ANY>()
+            descent.next()
         } else {
             tree.hierarchy.root
         }

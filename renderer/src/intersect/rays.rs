@@ -138,7 +138,7 @@ impl Grid {
                     } else {
                         tree.items_of(index as u32).for_each(|item| visit(tree.items.triangle(item as u32)));
                     }
-                    entry = descent.next::<true>();
+                    entry = descent.next();
                 }
             }
         }

@@ -4,7 +4,7 @@
 //! Here each of [`N_SLOTS`] rays takes one step at a time, and rays that need the same step take it one after the other, so
 //! that a processor overlaps their steps. Their triangles are decided together, with all lanes full.
 
-use std::{cell::Cell, ops::Range, slice};
+use std::{cell::Cell, mem, ops::Range, slice};
 
 use crate::{
     grid::{
@@ -27,6 +27,7 @@ use crate::{
 
 /// Rays on their way at a time: enough to fill lanes, and few enough to stay in the nearest cache.
 const N_SLOTS: usize = 64;
+const _: () = assert!(N_SLOTS <= u64::BITS as usize, "a bit for each slot");
 
 /// Groups of boxes, and pairs of a ray and a triangle, that are collected before they are tested.
 const N_COLLECTED: usize = 128;
@@ -232,6 +233,8 @@ pub(super) struct RayStream<'a, F, const ANY: bool> {
     runs: slice::Iter<'a, Range<usize>>,
     /// Whether to hint at what rays enter next.
     hints: bool,
+    /// A bit for each slot whose ray has hit something in its present leaf.
+    hit_slots: u64,
     state: Box<State>,
 }
 
@@ -244,7 +247,7 @@ impl<'a, F: FnMut(usize, Nearest), const ANY: bool> RayStream<'a, F, ANY> {
         let Range { start, end } = runs.next().cloned().unwrap_or_default();
         let mut state = STATE.take().unwrap_or_else(State::new);
         state.batch.clear();
-        Self { grid, tree, rays, answer, next_ray: start, end, runs, hints, state }
+        Self { grid, tree, rays, answer, next_ray: start, end, runs, hints, hit_slots: 0, state }
     }
 }
 
@@ -289,7 +292,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> Kernel for RayStream<'_, F, ANY>
                 let node = &self.tree.hierarchy.nodes[self.state.entries[slot_idx] as usize];
                 let descent = &mut self.state.slots[slot_idx].descent;
                 descent.enter_node::<S, ANY>(node);
-                let next = descent.next::<ANY>();
+                let next = descent.next();
                 self.set_entry::<S>(slot_idx, next);
             }
             self.visit_leaves::<S>(at_leaves.as_slice());
@@ -341,13 +344,18 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
             self.collect_triangles::<S>(slots);
             self.decide_triangles::<S>();
         }
+        if !ANY {
+            let mut left = mem::take(&mut self.hit_slots);
+            while left != 0 {
+                let Slot { descent, nearest, .. } = &mut self.state.slots[left.trailing_zeros() as usize % N_SLOTS];
+                left &= left - 1;
+                descent.shorten::<S>(nearest.t);
+            }
+        }
         for &slot in slots {
             let slot_idx = slot as usize % N_SLOTS;
             let Slot { descent, nearest, .. } = &mut self.state.slots[slot_idx];
-            if !ANY {
-                descent.shorten(nearest.t);
-            }
-            let next = if ANY && nearest.is_hit() { NONE } else { descent.next::<ANY>() };
+            let next = if ANY && nearest.is_hit() { NONE } else { descent.next() };
             self.set_entry::<S>(slot_idx, next);
         }
     }
@@ -415,7 +423,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
             let first = self.state.slots[slot as usize % N_SLOTS].items[0] as usize + group as usize * GROUP;
             self.tree.boxes.prefetch_group::<S>(first);
         }
-        for index in 0..std::mem::take(&mut self.state.groups.pairs.n) {
+        for index in 0..mem::take(&mut self.state.groups.pairs.n) {
             let slot_idx = self.state.groups.pairs.slots[index];
             let slot = &mut self.state.slots[slot_idx as usize];
             let [start, end] = slot.items.map(|item| item as usize);
@@ -447,7 +455,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
     /// Decides all pairs of a ray and a triangle.
     #[inline(always)]
     fn decide_triangles<S: Simd>(&mut self) {
-        let n = std::mem::take(&mut self.state.triangles.n);
+        let n = mem::take(&mut self.state.triangles.n);
         // Lanes behind the last pair repeat the first: what they hold may be of another mesh.
         let indices = &mut self.state.triangles.indices;
         let first_index = indices[0];
@@ -494,11 +502,13 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
                 let lane = left.trailing_zeros() as usize;
                 left &= left - 1;
                 let triangle = triangles[first_lane + lane];
-                let slot = &mut self.state.slots[slots[first_lane + lane] as usize];
+                let slot_idx = slots[first_lane + lane] as usize % N_SLOTS;
+                let slot = &mut self.state.slots[slot_idx];
                 let ray = &self.rays[slot.ray_idx as usize];
                 let certain_t = (decision.uncertain >> lane & 1 == 0).then_some(ts[lane]);
                 if let Some(t) = triangle::finish(ray, certain_t, || mesh.corners_by_call(triangle)) {
                     slot.nearest.offer(mesh, ray, triangle, t);
+                    self.hit_slots |= 1 << slot_idx;
                 }
             }
         }
