@@ -137,8 +137,8 @@ pub(crate) trait Simd: Copy {
     fn splat(x: f32) -> Self;
     /// Loads the first [`Simd::LANES`] numbers of a slice.
     fn load(from: &[f32]) -> Self;
-    /// Gathers the columns of the rows at the first [`Simd::LANES`] indices, a row a lane; those beyond the last row give it. There
-    /// must be one.
+    /// Gathers the columns of the rows at the first [`Simd::LANES`] indices, a row a lane; those beyond the last row give it.
+    /// There must be one.
     fn gather_columns(rows: &[[f32; 8]], indices: &[u32; 16]) -> [Self; 8];
     /// Loads [`Simd::LANES`] numbers, converted to `f32`, without a check: with checks, rays that go alone take a fifth more
     /// instructions.

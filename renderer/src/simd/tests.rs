@@ -33,29 +33,33 @@ impl Kernel for MovesLanes {
     }
 }
 
-/// Loads the columns of few and many rows.
-struct LoadsColumns;
+/// Indices within and beyond twenty items.
+const SCATTERED: [u32; 16] = [3, 0, 19, 7, u32::MAX, 1 << 31, 20, 5, 19, 2, 11, 4, 1 << 30, 0, 18, 6];
 
-impl Kernel for LoadsColumns {
+/// Gathers the columns of rows at indices within and beyond a slice.
+struct GathersColumns;
+
+impl Kernel for GathersColumns {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self) {
         let rows: [[f32; 8]; 20] = std::array::from_fn(|row| std::array::from_fn(|column| (8 * row + column) as f32));
-        for n in 1..=rows.len() {
+        for (n, indices) in (1..=rows.len()).flat_map(|n| [(n, consecutive(0)), (n, SCATTERED)]) {
             let mut lanes = [0.0; 16];
-            for (column, of_column) in S::gather_columns(&rows[..n], &consecutive(0)).into_iter().enumerate() {
+            for (column, of_column) in S::gather_columns(&rows[..n], &indices).into_iter().enumerate() {
                 of_column.store(&mut lanes);
-                assert!((0..S::LANES).all(|lane| lanes[lane] == rows[lane.min(n - 1)][column]), "{n} {column}");
+                let expected = |lane: usize| rows[(n - 1).min(indices[lane] as usize)][column];
+                assert!((0..S::LANES).all(|lane| lanes[lane] == expected(lane)), "{n} {column}");
             }
         }
     }
 }
 
 #[test]
-fn columns_load_alike_on_every_instruction_set() {
+fn columns_are_gathered_alike_on_every_instruction_set() {
     for instructions in InstructionSet::available() {
         // SAFETY: they are available.
-        unsafe { instructions.call(LoadsColumns) };
+        unsafe { instructions.call(GathersColumns) };
     }
 }
 
@@ -94,7 +98,7 @@ impl Kernel for GathersBits {
     fn run<S: Simd>(self) {
         // Numbers that are no f32 keep their bits.
         let numbers: [u32; 20] = std::array::from_fn(|index| 0x7fa0_0000 + index as u32);
-        let indices = [3, 0, 19, 7, u32::MAX, 1 << 31, 20, 5, 19, 2, 11, 4, 1 << 30, 0, 18, 6];
+        let indices = SCATTERED;
         for n in 1..=numbers.len() {
             let mut gathered = [0; 16];
             S::gather_bits(&numbers[..n], &indices).store_bits(&mut gathered);
