@@ -2,9 +2,9 @@
 //!
 //! [`ray`] holds a ray and its hit; [`triangle`] decides whether a ray hits a triangle, with sums from [`exact`] where
 //! rounding could change the answer. [`rays`] traces many rays of any origins: a [`stream`] of them by [`descent`]s from
-//! [`entry_points`] to the leaves of the tree, a [`bundle`] where they go together, or by a [`walk`] through uniform cells, with [`filter`]
-//! before each list of triangles; [`packet`] traces many rays together, and is compiled for each instruction set of
-//! [`crate::simd`]. [`margins`] bounds rounding errors. [`clip`] traces rays in a scene that a plane cuts open.
+//! the root or [`entry_points`] to the leaves of the tree, a [`bundle`] where they go together, or by a [`walk`] through
+//! uniform cells, with [`filter`] before each list of triangles; [`packet`] traces many rays together, and is compiled for
+//! each instruction set of [`crate::simd`]. [`margins`] bounds rounding errors. [`clip`] traces rays in a scene that a plane cuts open.
 
 mod bundle;
 pub mod clip;

@@ -13,6 +13,7 @@ use crate::{
 };
 
 /// Most entries of a stack: all but one child of each node on the way, one at the end, and the other child of the last node.
+/// Entry points are no more than the children of the root, in whose place they are.
 /// Indices are taken modulo this power of two, which spares checks.
 const N_STACK: usize = ((CHILDREN - 1) * hierarchy::LEVELS + 2).next_power_of_two();
 
@@ -107,13 +108,14 @@ impl Descent {
         self.n_stack = n_stack as u32;
     }
 
-    /// Puts those of `entries` on the empty stack that have a bit in `passed`: the last is entered first.
+    /// Puts those of `entries` on the empty stack that have a bit in `passed`: the last is entered first. Only for rays that are
+    /// not shortened, because where they enter is left out.
     #[inline(always)]
     pub(super) fn enter<S: Simd>(&mut self, entries: &[Entry; CHILDREN], passed: u32) {
         let mut n_stack = 1;
         for first in (0..CHILDREN).step_by(S::LANES) {
-            let of_lanes = passed >> first & ((1u64 << S::LANES) - 1) as u32;
-            n_stack += S::load_bits(&entries[first..]).compress_bits_to(of_lanes, &mut self.stack[n_stack..]);
+            let of_lanes = S::load_bits(&entries[first..]);
+            n_stack += of_lanes.compress_bits_to(passed >> first, &mut self.stack[n_stack..]);
         }
         self.n_stack = n_stack as u32;
     }
@@ -133,6 +135,7 @@ impl Descent {
     pub(super) fn shorten<S: Simd>(&mut self, t_end: f64) {
         let s_end = up(((t_end - self.t_base) * self.s_per_t + self.s_slack) as f32);
         self.s_range[1] = if s_end < self.s_range[1] { s_end } else { self.s_range[1] };
+        // The first entry stays, however short the ray.
         let (n_stack, mut n_kept) = (self.n_stack as usize % N_STACK, 0);
         for first in (0..n_stack).step_by(S::LANES) {
             let (s_near, entries) = (S::load(&self.stack_s[first..]), S::load_bits(&self.stack[first..]));

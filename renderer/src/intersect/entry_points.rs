@@ -1,8 +1,8 @@
 //! Where rays that begin one after the other enter a hierarchy: at the few nodes and leaves that their bounds meet, in place of
 //! the root, after Reshetov, Soupikov and Hurley, "Multi-Level Ray Tracing Algorithm" (2005).
 //!
-//! Short rays from neighbouring samples, as those of ambient occlusion, spare a third of their steps. All are compared with the
-//! entry points, a vector of rays at a time, so they take 0.8 to 0.95 of the time.
+//! Short rays from neighbouring samples, as those of ambient occlusion, spare a third of their steps, but must be compared with
+//! all entry points, which pays for a vector of rays at a time. tests/README.md has figures.
 
 use std::ops::Range;
 
@@ -24,7 +24,7 @@ const N_VECTORS: usize = 8;
 /// Fewest rays that are worth their own entry points.
 const FEWEST_RAYS: usize = 32;
 
-/// Nodes whose children have no room, after which no other is tried: of long rays, they all have none.
+/// After so many nodes whose children have no room, no other is tried: where rays are long, none has.
 const MOST_FAILURES: usize = 4;
 
 /// Entry points, and room for the children of one.
@@ -39,7 +39,7 @@ pub(super) struct RayBatch {
     /// Only where any hit counts, because the nearest is found by the order of boxes along each ray, and over triangles: over
     /// leaves, short rays take as long with them, and long ones up to a tenth longer.
     has_entry_points: bool,
-    /// A bit for each entry point that a ray passes.
+    /// For each ray, a bit for each entry point that it passes.
     passed: [[u32; 16]; N_VECTORS],
 }
 
@@ -47,7 +47,7 @@ impl RayBatch {
     pub(super) const EMPTY: Self = Self {
         rays: 0..0,
         starts: [RayStarts::EMPTY; N_VECTORS],
-        entry_points: EntryPoints::NONE,
+        entry_points: EntryPoints::EMPTY,
         has_entry_points: false,
         passed: [[0; 16]; N_VECTORS],
     };
@@ -84,7 +84,7 @@ impl RayBatch {
             let bounds = RayStarts::bounds::<S>(&self.starts[..n_vectors], tree.extent);
             self.entry_points.find::<S>(&tree.hierarchy, bounds);
             for vector in 0..n_vectors {
-                self.entry_points.passed::<S>(&self.starts[vector], &mut self.passed[vector]);
+                self.entry_points.find_passed::<S>(&self.starts[vector], &mut self.passed[vector]);
             }
         }
     }
@@ -95,7 +95,8 @@ impl RayBatch {
         &self,
         space: &CellSpace,
         tree: &Tree,
-        (ray_idx, ray): (usize, &Ray),
+        ray_idx: usize,
+        ray: &Ray,
         descent: &mut Descent,
     ) -> Entry {
         let number = ray_idx - self.rays.start;
@@ -127,7 +128,7 @@ struct EntryPoints {
 }
 
 impl EntryPoints {
-    const NONE: Self = Self { sides: [[0.0; CHILDREN]; 6], entries: [NONE; CHILDREN], n: 0 };
+    const EMPTY: Self = Self { sides: [[0.0; CHILDREN]; 6], entries: [NONE; CHILDREN], n: 0 };
 
     /// Finds those for rays within bounds, in finest cells.
     #[inline(always)]
@@ -166,7 +167,7 @@ impl EntryPoints {
 
     /// Finds which of them rays pass, a bit for each.
     #[inline(always)]
-    fn passed<S: Simd>(&self, starts: &RayStarts, passed: &mut [u32; 16]) {
+    fn find_passed<S: Simd>(&self, starts: &RayStarts, passed: &mut [u32; 16]) {
         let mut of_lanes = S::splat(0.0);
         let [mut step, mut near, mut far] = [[of_lanes; 3]; 3];
         for axis in 0..3 {
@@ -270,12 +271,11 @@ mod tests {
         let grid = Grid::build(statue::generate(20_000, &|_| ()), &GridOptions::default(), &|_| ());
         let (mesh, Structure::Tree(Tree { hierarchy, .. })) = (grid.mesh(), &grid.structure) else { panic!("no tree") };
         let to_cells = |corner: [f32; 3]| grid.space.point_to_cells(glam::DVec3::from(corner.map(f64::from))).as_vec3();
-        let mut n_met = 0;
         for around in (0..mesh.n_triangles() as u32).step_by(501) {
             for (reach, most) in [(0.0, 16 * CHILDREN), (500.0, mesh.n_triangles() / 4), (1e9, mesh.n_triangles())] {
                 let corner = to_cells(mesh.corners(around)[0]);
                 let (least, greatest) = (corner - reach, corner + reach);
-                let mut entry_points = EntryPoints::NONE;
+                let mut entry_points = EntryPoints::EMPTY;
                 entry_points.find::<Portable>(hierarchy, [0, 1, 2].map(|axis| [least[axis], greatest[axis]]));
                 let mut found = Vec::new();
                 for &entry in &entry_points.entries[..entry_points.n] {
@@ -286,11 +286,10 @@ mod tests {
                     a.min(b).min(c).cmple(greatest).all() && least.cmple(a.max(b).max(c)).all()
                 };
                 let met: Vec<_> = (0..mesh.n_triangles() as u32).filter(is_met).collect();
-                assert!(met.iter().all(|triangle| found.contains(triangle)), "{around} {reach}");
+                found.sort_unstable();
+                assert!(met.iter().all(|triangle| found.binary_search(triangle).is_ok()), "{around} {reach}");
                 assert!(found.len() <= most, "{} for {} within {reach}", found.len(), met.len());
-                n_met += met.len();
             }
         }
-        assert!(n_met > 0);
     }
 }

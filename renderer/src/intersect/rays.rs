@@ -80,7 +80,7 @@ impl Grid {
     ///
     /// # Panics
     ///
-    /// If there are fewer `hits` than `rays`, or 2³² rays.
+    /// If there are fewer `hits` than `rays`, or 2³² rays or more.
     pub fn intersect_rays(&self, rays: &[Ray], hits: &mut [Hit]) {
         self.trace::<false>(rays, |index, nearest| hits[index] = nearest.hit());
     }
@@ -89,7 +89,7 @@ impl Grid {
     ///
     /// # Panics
     ///
-    /// If there are fewer entries in `occluded` than `rays`, or 2³² rays.
+    /// If there are fewer entries in `occluded` than `rays`, or 2³² rays or more.
     pub fn occluded_rays(&self, rays: &[Ray], occluded: &mut [bool]) {
         self.trace::<true>(rays, |index, nearest| occluded[index] = nearest.is_hit());
     }
@@ -189,7 +189,6 @@ impl<F: FnMut(usize, Nearest)> Kernel for BundlesAndStream<'_, F> {
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        const { assert!(bundle::MOST_RAYS == 16, "runs of rays begin at multiples of 16") };
         let Self { grid, tree, rays, mut answer } = self;
         let mut bundles = Bundles::new(grid, tree);
         let mut runs_alone: Vec<Range<usize>> = Vec::new();

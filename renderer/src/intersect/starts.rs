@@ -18,6 +18,11 @@ const RELATIVE_MARGIN: f64 = 10.0 / (1 << 24) as f64;
 /// Rounding errors that do not depend on the extent, in finest cells.
 const MARGIN: f64 = 1.0 / 1024.0;
 
+/// Rounding errors of positions in a grid that extends over so many finest cells.
+fn position_margin(extent: u32) -> f64 {
+    f64::from(extent) * RELATIVE_MARGIN + MARGIN
+}
+
 /// The largest inverse component of a direction whose largest component is 1: over a grid, smaller components move a ray by
 /// less than [`MARGIN`].
 const STEEPEST: f64 = 1e12;
@@ -45,7 +50,7 @@ pub(super) struct RayStarts {
     pub(super) t_base: [f64; 16],
     pub(super) s_per_t: [f64; 16],
     pub(super) s_slack: [f64; 16],
-    /// Where the ray enters the grid, and where it ends or leaves it, by axis, in finest cells; only with `ENDS`.
+    /// Where the ray begins or enters the grid, and where it ends or leaves it, by axis, in finest cells; only with `ENDS`.
     ends: [[[f32; 16]; 3]; 2],
 }
 
@@ -84,7 +89,8 @@ impl RayStarts {
         }
     }
 
-    /// Bounds along each axis of the rays that meet the grid, within it, in finest cells; inverted if none does.
+    /// Bounds along each axis of the rays that meet the grid, within it, in finest cells; inverted if none does. The ends of
+    /// those rays are finite.
     #[inline(always)]
     pub(super) fn bounds<S: Simd>(all: &[Self], extent: [u32; 3]) -> [[f32; 2]; 3] {
         let (lowest, highest) = (S::splat(f32::INFINITY), S::splat(f32::NEG_INFINITY));
@@ -96,7 +102,7 @@ impl RayStarts {
                 low = low.min(S::select(starts.meeting, from.min(to), lowest));
                 high = high.max(S::select(starts.meeting, from.max(to), highest));
             }
-            let margin = (f64::from(extent[axis]) * RELATIVE_MARGIN + MARGIN) as f32;
+            let margin = position_margin(extent[axis]) as f32;
             bounds[axis] = [low.reduce_min() - margin, high.reduce_max() + margin];
         }
         bounds
@@ -191,7 +197,7 @@ impl RayStarts {
                 origin[axis].add(t_end.mul(direction[axis])).store_rounded(&mut self.ends[1][axis][first..]);
             }
             let s_zero = at_entry.mul(step);
-            let margin = step.abs().mul(R::splat(f64::from(extent[axis]) * RELATIVE_MARGIN + MARGIN));
+            let margin = step.abs().mul(R::splat(position_margin(extent[axis])));
             R::splat(0.0).sub(s_zero).sub(margin).store_rounded(&mut self.s_near[axis][first..]);
             margin.sub(s_zero).store_rounded(&mut self.s_far[axis][first..]);
             step.store_rounded(&mut self.s_step[axis][first..]);

@@ -37,7 +37,6 @@ const N_COLLECTED: usize = 128;
 const ROOM: usize = 2 * N_COLLECTED + 32;
 
 /// A ray on its way.
-#[repr(align(64))]
 struct Slot {
     /// Index of the ray.
     ray_idx: u32,
@@ -233,13 +232,13 @@ pub(super) struct RayStream<'a, F, const ANY: bool> {
     runs: slice::Iter<'a, Range<usize>>,
     /// Whether to hint at what rays enter next.
     hints: bool,
-    /// A bit for each slot whose ray has hit something in its present leaf.
+    /// A bit for each slot whose ray has met a triangle in its present leaf.
     hit_slots: u64,
     state: Box<State>,
 }
 
 impl<'a, F: FnMut(usize, Nearest), const ANY: bool> RayStream<'a, F, ANY> {
-    /// Each of the `runs` begins at a multiple of 16, where lanes are prepared anew; only the first may be empty.
+    /// None of the `runs` is empty, unless it is the only one.
     pub(super) fn new(grid: &'a Grid, tree: &'a Tree, rays: &'a [Ray], runs: &'a [Range<usize>], answer: F) -> Self {
         // Rays of which any hit counts take 0.95 to 1.1 of the time with hints.
         let hints = !ANY && tree.exceeds_caches();
@@ -316,7 +315,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
         let begun = &mut self.state.slots[slot_idx];
         (begun.ray_idx, begun.nearest) = (ray_idx as u32, Nearest::default());
 
-        let first = self.state.batch.begin::<S, ANY>(space, self.tree, (ray_idx, ray), &mut begun.descent);
+        let first = self.state.batch.begin::<S, ANY>(space, self.tree, ray_idx, ray, &mut begun.descent);
         self.state.entries[slot_idx] = first;
         self.next_ray += 1;
         if self.next_ray == self.end
@@ -480,6 +479,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
                 points[corner][axis].store(&mut corners[corner][axis]);
             }
         }
+        // Lanes behind the last may have slots of an earlier call, and rays that are not there: they get the last ray.
         let mut ray_indices = [0; 16];
         for lane in 0..S::LANES {
             ray_indices[lane] = self.state.slots[slots[lane] as usize % N_SLOTS].ray_idx;
@@ -508,7 +508,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
                 let certain_t = (decision.uncertain >> lane & 1 == 0).then_some(ts[lane]);
                 if let Some(t) = triangle::finish(ray, certain_t, || mesh.corners_by_call(triangle)) {
                     slot.nearest.offer(mesh, ray, triangle, t);
-                    self.hit_slots |= 1 << slot_idx;
+                    self.hit_slots |= u64::from(!ANY) << slot_idx;
                 }
             }
         }

@@ -66,12 +66,15 @@ fn rays_together(mesh: &Mesh) -> impl Strategy<Value = Vec<Ray>> + use<> {
 fn rays_around(mesh: &Mesh) -> impl Strategy<Value = Vec<Ray>> + use<> {
     let spread = prop_oneof![Just(0.0f32), Just(1e-3), Just(0.1), Just(2.0)];
     let length = || prop_oneof![4 => 0.0..0.3f32, 1 => 0.0..3.0f32];
-    let factor = || prop_oneof![30 => Just(1.0f32), 1 => Just(1e20), 1 => Just(f32::NAN)];
-    let each = || (prop::array::uniform3(-1.0..1.0f32), direction(), length(), factor());
+    let far = (prop::sample::select(vec![Vec3::X, Vec3::NEG_Y, Vec3::Z]), prop::sample::select(vec![1e15, f32::NAN]));
+    let each =
+        || (prop::array::uniform3(-1.0..1.0f32), direction(), length(), prop::option::weighted(0.1, far.clone()));
     (ray(mesh), spread, prop::collection::vec(each(), 30..200)).prop_map(|(first, spread, each)| {
-        let around = |(origin, direction, t_max, factor): ([f32; 3], Vec3, f32, f32)| {
-            let origin = (first.origin + Vec3::from(origin) * spread) * factor;
-            Ray { t_max: t_max * factor, ..Ray::new(origin, direction) }
+        let around = |(origin, direction, t_max, far): ([f32; 3], Vec3, f32, Option<(Vec3, f32)>)| {
+            let origin = first.origin + Vec3::from(origin) * spread;
+            // Along an axis, single precision aims well from far away.
+            let from_far = far.map(|(axis, distance)| Ray::new(origin - axis * distance, axis));
+            from_far.unwrap_or(Ray { t_max, ..Ray::new(origin, direction) })
         };
         each.into_iter().map(around).collect()
     })
@@ -95,6 +98,27 @@ proptest! {
                 for (ray, occluded) in rays.iter().zip(occluded) {
                     prop_assert_eq!(occluded, !grid.intersect(ray).is_miss(), "{:?}: {:?}", instructions, ray);
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn rays_alone_between_bundles_are_occluded_as_alone(
+        (mesh, rays) in Just(statue::generate(6000, &|_| ())).prop_flat_map(|mesh| {
+            let parts = (rays_around(&mesh), rays_together(&mesh), rays_around(&mesh), rays_together(&mesh));
+            (Just(mesh), parts)
+        }),
+    ) {
+        let (alone, bundle, others, another) = rays;
+        let parts = [(alone.clone(), 48), (bundle, 16), (others, 64), (another, 16), (alone, 33)];
+        let rays: Vec<_> = parts.into_iter().flat_map(|(rays, n)| rays.into_iter().cycle().take(n)).collect();
+        let mut grid = in_bundles(build(&mesh));
+        for instructions in InstructionSet::available() {
+            grid = grid.with_instructions(instructions);
+            let mut occluded = vec![false; rays.len()];
+            grid.occluded_rays(&rays, &mut occluded);
+            for (ray, occluded) in rays.iter().zip(occluded) {
+                prop_assert_eq!(occluded, !grid.intersect(ray).is_miss(), "{:?}: {:?}", instructions, ray);
             }
         }
     }
@@ -196,6 +220,9 @@ fn rays_that_lead_nowhere_miss_in_bounded_time() {
     for grid in [build(&mesh), over_leaves(build(&mesh))] {
         let mut hits = vec![Hit::MISS; rays.len()];
         grid.intersect_rays(&rays, &mut hits);
+        let mut occluded = vec![false; rays.len()];
+        grid.occluded_rays(&rays, &mut occluded);
+        assert!(hits.iter().zip(occluded).all(|(hit, occluded)| hit.is_miss() != occluded));
         for (ray, hit) in rays.iter().zip(&hits) {
             let is_sound = ray.origin.is_finite() && ray.direction.is_finite() && ray.t_min <= ray.t_max;
             assert!(is_sound || hit.is_miss(), "{ray:?} hits {hit:?}");

@@ -86,8 +86,8 @@ fn shells_ahead(ray: &Ray) -> [Option<f64>; 2] {
     }
 }
 
-/// Rays of a batch: none, one, a vector's worth and one more or less, and many.
-const BATCH_SIZES: [usize; 6] = [0, 1, 63, 64, 65, 1000];
+/// Rays of a batch: none, one, as many as are prepared together and one more or less, and many.
+const BATCH_SIZES: [usize; 8] = [0, 1, 32, 63, 64, 65, 129, 1000];
 
 /// Integer rays with limits of their own, in batches of several sizes, among rays that cannot be traced: a bad ray changes
 /// no other's answer, nor does the order of a batch or the instruction set.
