@@ -45,6 +45,19 @@ fn in_bundles(mut grid: Grid) -> Grid {
     grid
 }
 
+/// Each of the rays together is occluded where it hits something alone, with any instructions.
+fn check_occluded(mut grid: Grid, rays: &[Ray]) -> Result<(), TestCaseError> {
+    for instructions in InstructionSet::available() {
+        grid = grid.with_instructions(instructions);
+        let mut occluded = vec![false; rays.len()];
+        grid.occluded_rays(rays, &mut occluded);
+        for (ray, occluded) in rays.iter().zip(occluded) {
+            prop_assert_eq!(occluded, !grid.intersect(ray).is_miss(), "{:?}: {:?}", instructions, ray);
+        }
+    }
+    Ok(())
+}
+
 /// Rays that begin close together and lead the same way, or almost.
 fn rays_together(mesh: &Mesh) -> impl Strategy<Value = Vec<Ray>> + use<> {
     let size = prop_oneof![Just(0.0f32), Just(1e-5), Just(1e-2), Just(0.5)];
@@ -90,15 +103,8 @@ proptest! {
             (Just(mesh), rays)
         }),
     ) {
-        for mut grid in [build(&mesh), over_leaves(build(&mesh))] {
-            for instructions in InstructionSet::available() {
-                grid = grid.with_instructions(instructions);
-                let mut occluded = vec![false; rays.len()];
-                grid.occluded_rays(&rays, &mut occluded);
-                for (ray, occluded) in rays.iter().zip(occluded) {
-                    prop_assert_eq!(occluded, !grid.intersect(ray).is_miss(), "{:?}: {:?}", instructions, ray);
-                }
-            }
+        for grid in [build(&mesh), over_leaves(build(&mesh))] {
+            check_occluded(grid, &rays)?;
         }
     }
 
@@ -112,15 +118,7 @@ proptest! {
         let (alone, bundle, others, another) = rays;
         let parts = [(alone.clone(), 48), (bundle, 16), (others, 64), (another, 16), (alone, 33)];
         let rays: Vec<_> = parts.into_iter().flat_map(|(rays, n)| rays.into_iter().cycle().take(n)).collect();
-        let mut grid = in_bundles(build(&mesh));
-        for instructions in InstructionSet::available() {
-            grid = grid.with_instructions(instructions);
-            let mut occluded = vec![false; rays.len()];
-            grid.occluded_rays(&rays, &mut occluded);
-            for (ray, occluded) in rays.iter().zip(occluded) {
-                prop_assert_eq!(occluded, !grid.intersect(ray).is_miss(), "{:?}: {:?}", instructions, ray);
-            }
-        }
+        check_occluded(in_bundles(build(&mesh)), &rays)?;
     }
 
     #[test]
@@ -133,15 +131,7 @@ proptest! {
         let compact = GridOptions { storage: Storage::Compact, ..GridOptions::default() };
         let compact = Grid::build(mesh.clone(), &compact, &|_| ());
         for grid in [build(&mesh), over_leaves(build(&mesh)), compact] {
-            let mut grid = in_bundles(grid);
-            for instructions in InstructionSet::available() {
-                grid = grid.with_instructions(instructions);
-                let mut occluded = vec![false; rays.len()];
-                grid.occluded_rays(&rays, &mut occluded);
-                for (ray, occluded) in rays.iter().zip(occluded) {
-                    prop_assert_eq!(occluded, !grid.intersect(ray).is_miss(), "{:?}: {:?}", instructions, ray);
-                }
-            }
+            check_occluded(in_bundles(grid), &rays)?;
         }
     }
 }
