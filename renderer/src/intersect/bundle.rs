@@ -319,17 +319,21 @@ impl Bundle<'_> {
                 continue;
             }
             let node = &nodes[index];
-            let mut passed = self.shaft.passed_children::<S>(node, &mut rows);
-            while passed != 0 {
-                let slot = (passed.trailing_zeros() as usize ^ self.shaft.nearest) % CHILDREN;
-                passed &= passed - 1;
-                let (child, rays) = (node.children[slot], self.passing::<S>(&rows.0, slot));
-                if rays != 0 {
-                    if !OVER_LEAVES || child & LEAF == 0 {
-                        self.tree.hierarchy.prefetch::<S>(child);
+            let passed = self.shaft.passed_children::<S>(node, &mut rows);
+            // Leaves beside nodes are entered before them: their triangles are large, and may hide the next bundles too.
+            let leaves = self.shaft.leaves::<S>(node);
+            for mut passed in [passed & !leaves, passed & leaves] {
+                while passed != 0 {
+                    let slot = (passed.trailing_zeros() as usize ^ self.shaft.nearest) % CHILDREN;
+                    passed &= passed - 1;
+                    let (child, rays) = (node.children[slot], self.passing::<S>(&rows.0, slot));
+                    if rays != 0 {
+                        if !OVER_LEAVES || child & LEAF == 0 {
+                            self.tree.hierarchy.prefetch::<S>(child);
+                        }
+                        stack[n_stack % N_STACK] = (child, rays);
+                        n_stack += 1;
                     }
-                    stack[n_stack % N_STACK] = (child, rays);
-                    n_stack += 1;
                 }
             }
         }

@@ -42,6 +42,10 @@ const MANY_REFERENCES: f64 = 1.5;
 /// Most items whose nodes [`collapse`] finds. With eight times as many, rays take as long.
 const FEW_ITEMS: usize = 4096;
 
+/// Leaves whose splits are all compared, where 16 bins stand for more. With 16 bins alone, triangle nodes take a tenth more
+/// memory.
+const FEW_LEAVES: usize = 256;
+
 /// Bytes for each triangle while a hierarchy over triangles is built: an item, and its part of nodes that are nearly full.
 const BYTES_PER_TRIANGLE: u64 = 48 + 36;
 
@@ -156,7 +160,7 @@ impl Nodes {
                 return self.append_collapsed::<OF_TRIANGLES>(items, &tree, tree.root());
             }
         }
-        let parts = divide(items, n_levels);
+        let parts = divide(items, n_levels, granule::<OF_TRIANGLES>());
         let slots = slots(&parts);
         let node_idx = self.nodes.len();
         self.nodes.push(HierarchyNode::EMPTY);
@@ -310,7 +314,7 @@ impl Part {
 /// Orders leaves into the parts of a node's children: the part with the largest surface is split until there are enough.
 ///
 /// Where so many leaves are left that only full nodes can hold them, the parts have equal numbers.
-fn divide(leaves: &mut [BoundedItem], n_levels: usize) -> Vec<Part> {
+fn divide(leaves: &mut [BoundedItem], n_levels: usize, granule: usize) -> Vec<Part> {
     let is_tight = CHILDREN.checked_pow(n_levels as u32 - 1).is_some_and(|most| leaves.len() > most);
     // The children of a node with more than 16 leaves are nodes too: full ones are worth more than a shorter way.
     let smallest = if leaves.len() > CHILDREN { CHILDREN } else { 1 };
@@ -321,12 +325,17 @@ fn divide(leaves: &mut [BoundedItem], n_levels: usize) -> Vec<Part> {
         let Some(largest) = divisible.max_by(|&a, &b| size(&parts[a]).total_cmp(&size(&parts[b]))) else { break };
         let Part { first, n, bounds } = parts[largest];
         let of_part = &mut leaves[first..first + n];
-        let split = if is_tight { Split::half(n, &bounds) } else { Split::best(of_part) };
+        let split = if is_tight { Split::half(n, &bounds) } else { Split::best(of_part, granule) };
         let n_low = split.apply(of_part);
         parts[largest] = Part::new(leaves, first, n_low);
         parts.insert(largest + 1, Part::new(leaves, first + n_low, n - n_low));
     }
     parts
+}
+
+/// Leaves for which a node takes memory, however few it holds: inner nodes are few beside their leaves.
+const fn granule<const OF_TRIANGLES: bool>() -> usize {
+    if OF_TRIANGLES { CHILDREN } else { 1 }
 }
 
 /// A split of a part in two.
@@ -352,46 +361,69 @@ impl Split {
         self.n_low
     }
 
-    /// The best of the splits between 16 bins along each axis.
-    fn best(leaves: &[BoundedItem]) -> Self {
-        const N_BINS: usize = 16;
+    /// The best split along any axis: of all, or, with many leaves, of those between 16 bins.
+    ///
+    /// A node below takes memory for a multiple of `granule` leaves, and so many count.
+    fn best(leaves: &[BoundedItem], granule: usize) -> Self {
         let (mut low, mut high) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
         for leaf in leaves {
             (low, high) = (low.min(leaf.bounds.centre()), high.max(leaf.bounds.centre()));
         }
-        let n = leaves.len();
-        // Multiples of 16 leaves make full nodes; those above are few.
-        let granule = if n > CHILDREN { CHILDREN } else { 1 };
-        let mut best = Self::half(n, &Bounds { low, high });
-        best.n_low = best.n_low.next_multiple_of(granule);
+        let mut best = Self::half(leaves.len(), &Bounds { low, high });
         for axis in 0..3 {
-            // Sort into bins of equal width.
-            let bins_per_unit = N_BINS as f32 / (high[axis] - low[axis]).max(f32::MIN_POSITIVE);
-            let mut bins = [(0, Bounds::EMPTY); N_BINS];
-            for leaf in leaves {
-                let bin = ((leaf.bounds.centre()[axis] - low[axis]) * bins_per_unit) as usize;
-                let (n, bounds) = &mut bins[bin.min(N_BINS - 1)];
-                (*n, *bounds) = (*n + 1, bounds.with(&leaf.bounds));
-            }
-
-            // Compare the splits between them.
-            let mut areas_above = [0.0; N_BINS];
-            let mut above = Bounds::EMPTY;
-            for bin in (1..N_BINS).rev() {
-                above = above.with(&bins[bin].1);
-                areas_above[bin] = above.half_area();
-            }
-            let (mut n_below, mut below) = (0, Bounds::EMPTY);
-            for bin in 1..N_BINS {
-                (n_below, below) = (n_below + bins[bin - 1].0, below.with(&bins[bin - 1].1));
-                let n_low = ((n_below + granule / 2) / granule).clamp(1, (n - 1) / granule) * granule;
-                let cost = below.half_area() * n_low as f32 + areas_above[bin] * (n - n_low) as f32;
-                if cost < best.cost {
-                    best = Self { axis, n_low, cost };
-                }
-            }
+            let bins =
+                if leaves.len() <= FEW_LEAVES { Bin::each(leaves, axis) } else { Bin::sort(leaves, axis, low, high) };
+            best.compare(axis, &bins, leaves.len(), granule);
         }
         best
+    }
+
+    /// Takes the best of the splits between the bins of `n` leaves along an axis, if it is better.
+    fn compare(&mut self, axis: usize, bins: &[Bin], n: usize, granule: usize) {
+        let mut areas_above = [0.0; FEW_LEAVES];
+        let mut above = Bounds::EMPTY;
+        for bin in (1..bins.len()).rev() {
+            above = above.with(&bins[bin].bounds);
+            areas_above[bin] = above.half_area();
+        }
+        let (mut n_low, mut below) = (0, Bounds::EMPTY);
+        for bin in 1..bins.len() {
+            (n_low, below) = (n_low + bins[bin - 1].n, below.with(&bins[bin - 1].bounds));
+            // Where nothing has a surface, nodes are still worth saving.
+            let cost_of = |area: f32, n: usize| area.max(f32::MIN_POSITIVE) * n.next_multiple_of(granule) as f32;
+            let cost = cost_of(below.half_area(), n_low) + cost_of(areas_above[bin], n - n_low);
+            if cost < self.cost && n_low > 0 && n_low < n {
+                *self = Self { axis, n_low, cost };
+            }
+        }
+    }
+}
+
+/// Leaves between two splits.
+struct Bin {
+    n: usize,
+    bounds: Bounds,
+}
+
+impl Bin {
+    /// A bin for each leaf, in their order along an axis.
+    fn each(leaves: &[BoundedItem], axis: usize) -> Vec<Self> {
+        let mut bins: Vec<_> = leaves.iter().map(|leaf| Self { n: 1, bounds: leaf.bounds }).collect();
+        bins.sort_unstable_by(|a, b| a.bounds.centre()[axis].total_cmp(&b.bounds.centre()[axis]));
+        bins
+    }
+
+    /// Sorts leaves, whose centres have these bounds, into bins of equal width along an axis.
+    fn sort(leaves: &[BoundedItem], axis: usize, low: Vec3A, high: Vec3A) -> Vec<Self> {
+        const N_BINS: usize = 16;
+        let bins_per_unit = N_BINS as f32 / (high[axis] - low[axis]).max(f32::MIN_POSITIVE);
+        let mut bins: Vec<_> = (0..N_BINS).map(|_| Self { n: 0, bounds: Bounds::EMPTY }).collect();
+        for leaf in leaves {
+            let bin = ((leaf.bounds.centre()[axis] - low[axis]) * bins_per_unit) as usize;
+            let Self { n, bounds } = &mut bins[bin.min(N_BINS - 1)];
+            (*n, *bounds) = (*n + 1, bounds.with(&leaf.bounds));
+        }
+        bins
     }
 }
 

@@ -69,6 +69,17 @@ impl Shaft {
         passed
     }
 
+    /// A bit for each child of a node that is a leaf, or none, where [`Shaft::passed_children`] has its bit.
+    #[inline(always)]
+    pub(super) fn leaves<S: Simd>(&self, node: &HierarchyNode) -> u32 {
+        let (mut leaves, within) = (0, S::LANES - 1);
+        for first in (0..CHILDREN).step_by(S::LANES) {
+            let children = S::load_bits(&node.children[first..]).reflect((self.nearest & within) as u32);
+            leaves |= children.sign_mask() << (first ^ (self.nearest & !within));
+        }
+        leaves
+    }
+
     /// The map from the sides of groups in a leaf's cube to the shaft.
     #[inline(always)]
     pub(super) fn leaf_cube(&self, cube: LeafCube) -> LeafCubeInShaft {

@@ -4,14 +4,11 @@
 //! bottom, after Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs" (2017):
 //! for each subtree and each number of roots, the cheapest forest of so many nodes, and all below, in its place.
 
-use super::{BoundedItem, CHILDREN, Part, Split};
+use super::{BoundedItem, CHILDREN, Part, Split, granule};
 
 /// Each node costs so many mean surfaces of items beside its own, so that nodes are full: without this, they take half as much
 /// memory again, and rays pass up to a twentieth fewer.
 const NODE_COST: f32 = 5.0;
-
-/// Triangles that stay together. To divide them further takes longer, and saves rays up to a hundredth of their nodes.
-const FEWEST_TRIANGLES: usize = 4;
 
 /// A binary tree over items. The children of a node come before it.
 pub(super) struct BinaryTree {
@@ -53,20 +50,19 @@ impl BinaryTree {
         let cost = if OF_TRIANGLES { part.bounds.half_area() + self.node_cost } else { 0.0 };
         let alone = Forest { cost, n_roots: [0; 2] };
         let mut node = BinaryNode { part, children: None, forests: [alone; CHILDREN], below: alone };
-        if n > if OF_TRIANGLES { FEWEST_TRIANGLES } else { 1 } {
-            let n_low = Split::best(&items[first..first + n]).apply(&mut items[first..first + n]);
+        if n > granule::<OF_TRIANGLES>() {
+            let of_node = &mut items[first..first + n];
+            let n_low = Split::best(of_node, granule::<OF_TRIANGLES>()).apply(of_node);
             let low = self.append::<OF_TRIANGLES>(items, first, n_low);
             let high = self.append::<OF_TRIANGLES>(items, first + n_low, n - n_low);
-            let is_of_triangles = OF_TRIANGLES && n <= CHILDREN;
-            self.join(&mut node, [low, high], is_of_triangles);
+            self.join(&mut node, [low, high]);
         }
         self.nodes.push(node);
         self.nodes.len() - 1
     }
 
-    /// Finds the cheapest forests of a node with two children. With `is_of_triangles` one triangle node can
-    /// hold all of its items.
-    fn join(&self, node: &mut BinaryNode, children: [usize; 2], is_of_triangles: bool) {
+    /// Finds the cheapest forests of a node with two children.
+    fn join(&self, node: &mut BinaryNode, children: [usize; 2]) {
         let [first, second] = children.map(|child| &self.nodes[child].forests);
         let mut best = Forest { cost: f32::INFINITY, n_roots: [0; 2] };
         for n_roots in 2..=CHILDREN {
@@ -81,8 +77,7 @@ impl BinaryTree {
         }
         node.children = Some(children);
         node.below = best;
-        let below = if is_of_triangles { 0.0 } else { best.cost };
-        let alone = Forest { cost: below + node.part.bounds.half_area() + self.node_cost, n_roots: [0; 2] };
+        let alone = Forest { cost: best.cost + node.part.bounds.half_area() + self.node_cost, n_roots: [0; 2] };
         node.forests[0] = alone;
         for forest in &mut node.forests[1..] {
             if alone.cost <= forest.cost {
@@ -120,8 +115,7 @@ impl BinaryTree {
 
     /// Nodes on the longest way down from a node, with itself.
     pub(super) fn n_levels<const OF_TRIANGLES: bool>(&self, node: usize) -> usize {
-        let n = self.part(node).n;
-        if n == 1 || (OF_TRIANGLES && n <= CHILDREN) {
+        if self.part(node).n <= granule::<OF_TRIANGLES>() {
             return usize::from(OF_TRIANGLES);
         }
         1 + self.children(node).into_iter().map(|child| self.n_levels::<OF_TRIANGLES>(child)).max().unwrap_or(0)
@@ -189,17 +183,16 @@ mod tests {
     }
 
     #[test]
-    fn groups_of_triangles_are_divided_where_that_pays() {
-        // Splits leave sixteen triangles on one side, of which four lie with the others.
+    fn nodes_of_triangles_are_full_unless_they_lie_apart() {
         let sizes = |distance: f64| {
-            let low = |k: u32| DVec3::new(f64::from(k) + if k < 12 { 0.0 } else { distance }, 0.0, 0.0);
+            let low = |k: u32| DVec3::new(f64::from(k) + if k < 20 { 0.0 } else { distance }, 0.0, 0.0);
             let item = |item: u32| BoundedItem { bounds: Bounds::new(low(item), low(item) + DVec3::ONE), item };
-            let tree = BinaryTree::new::<true>(&mut (0..24).map(item).collect::<Vec<_>>());
+            let tree = BinaryTree::new::<true>(&mut (0..32).map(item).collect::<Vec<_>>());
             let mut sizes: Vec<_> = tree.children(tree.root()).into_iter().map(|child| tree.part(child).n).collect();
             sizes.sort_unstable();
             sizes
         };
-        assert_eq!(sizes(0.0), [8, 16]);
-        assert_eq!(sizes(1e4), [4, 8, 12]);
+        assert_eq!(sizes(0.0), [16, 16]);
+        assert_eq!(sizes(1e4), [4, 12, 16]);
     }
 }
