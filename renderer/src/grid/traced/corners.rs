@@ -100,18 +100,26 @@ impl Corners {
     // No closures: they are not compiled for the caller's instruction set.
     #[inline(always)]
     pub(super) fn of_lanes<S: Simd>(&self, triangle_indices: &[u32; 16]) -> [[u32; 16]; 3] {
-        let (mut starts, mut packed) = ([0; 16], [0; 16]);
+        // Check all lanes at once: a check for each took 2 to 4 % of the time of bounces.
+        let (window_starts, bytes) = (&*self.window_starts, &*self.bytes);
+        let mut greatest_idx = 0;
+        for lane in 0..S::LANES {
+            greatest_idx = greatest_idx.max(triangle_indices[lane]);
+        }
+        let greatest_idx = greatest_idx as usize;
+        let has_all = greatest_idx / TRIANGLES_PER_WINDOW < window_starts.len() && 3 * greatest_idx + 2 < bytes.len();
+        assert!(has_all, "no triangle {greatest_idx}");
+        let mut vertices = [[0; 16]; 3];
         for lane in 0..S::LANES {
             let triangle_idx = triangle_indices[lane] as usize;
-            starts[lane] = self.window_starts[triangle_idx / TRIANGLES_PER_WINDOW];
-            let bytes = self.bytes[3 * triangle_idx..].first_chunk().expect("padding follows the last triangle");
-            packed[lane] = u32::from_le_bytes(*bytes);
-        }
-        let mut vertices = [[0; 16]; 3];
-        for lane in 0..16 {
-            vertices[0][lane] = starts[lane] + (packed[lane] & 0xff);
-            vertices[1][lane] = starts[lane] + (packed[lane] >> 8 & 0xff);
-            vertices[2][lane] = starts[lane] + (packed[lane] >> 16 & 0xff);
+            // SAFETY: the greatest index has a window and three corners.
+            let (start, corners) = unsafe {
+                let start = *window_starts.get_unchecked(triangle_idx / TRIANGLES_PER_WINDOW);
+                (start, bytes.as_ptr().add(3 * triangle_idx).cast::<[u8; 3]>().read())
+            };
+            for corner in 0..3 {
+                vertices[corner][lane] = start + u32::from(corners[corner]);
+            }
         }
         vertices
     }
