@@ -10,6 +10,8 @@ mod tests;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
+use std::slice;
+
 use bytemuck::NoUninit;
 pub use instructions::InstructionSet;
 use points::PointScale;
@@ -117,7 +119,7 @@ pub(crate) fn consecutive(first: u32) -> [u32; 16] {
 }
 
 /// An instruction set: a vector of [`Simd::LANES`] single-precision numbers, and operations on vectors and slices.
-pub(crate) trait Simd: Copy {
+pub(crate) trait Simd: NoUninit {
     /// Number of lanes: 8 or 16.
     const LANES: usize;
     /// Double-precision vectors of the same instruction set.
@@ -137,6 +139,11 @@ pub(crate) trait Simd: Copy {
     fn splat(x: f32) -> Self;
     /// Loads the first [`Simd::LANES`] numbers of a slice.
     fn load(from: &[f32]) -> Self;
+    /// The lanes from `first` on, as many as [`Simd::Double`] has.
+    #[inline(always)]
+    fn widen(&self, first: usize) -> Self::Double {
+        Self::Double::load(&bytemuck::cast_slice(slice::from_ref(self))[first..])
+    }
     /// Gathers the columns of the rows at the first [`Simd::LANES`] indices, a row a lane; those beyond the last row give it.
     /// There must be one.
     fn gather_columns(rows: &[[f32; 8]], indices: &[u32; 16]) -> [Self; 8];
@@ -249,7 +256,8 @@ pub(crate) trait Simd: Copy {
 }
 
 /// Eight lanes without special instructions.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, NoUninit)]
+#[repr(transparent)]
 pub(crate) struct Portable([f32; 8]);
 
 impl Portable {
@@ -286,13 +294,13 @@ impl Simd for Portable {
     #[inline(always)]
     unsafe fn load_bytes_at(from: *const u8) -> Self {
         // SAFETY: the caller's.
-        let bytes = unsafe { std::slice::from_raw_parts(from, Self::LANES) };
+        let bytes = unsafe { slice::from_raw_parts(from, Self::LANES) };
         Self(std::array::from_fn(|lane| f32::from(bytes[lane])))
     }
     #[inline(always)]
     unsafe fn load_halves_at(from: *const u8, shift: u32) -> [Self; 2] {
         // SAFETY: the caller's.
-        let bytes = unsafe { std::slice::from_raw_parts(from, Self::LANES) };
+        let bytes = unsafe { slice::from_raw_parts(from, Self::LANES) };
         [shift, 4 - shift].map(|shift| Self(std::array::from_fn(|lane| f32::from(bytes[lane] >> shift & 15))))
     }
     #[inline(always)]

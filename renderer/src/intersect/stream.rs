@@ -6,6 +6,8 @@
 
 use std::{cell::Cell, mem, ops::Range, slice};
 
+use bytemuck::Zeroable;
+
 use crate::{
     grid::{
         Grid,
@@ -190,6 +192,7 @@ impl Groups {
 /// The state of a stream. Making it takes longer than tracing a ray, so each thread keeps one.
 struct State {
     slots: [Slot; N_SLOTS],
+    rays: [Ray; N_SLOTS],
     /// The node or leaf that each slot's ray enters next; [`NONE`] at its end.
     entries: [Entry; N_SLOTS],
     /// The rays that begin next.
@@ -207,6 +210,7 @@ impl State {
     fn new() -> Box<Self> {
         Box::new(Self {
             slots: std::array::from_fn(|_| Slot::new()),
+            rays: [Ray::zeroed(); N_SLOTS],
             entries: [NONE; N_SLOTS],
             batch: RayBatch::EMPTY,
             groups: Groups::EMPTY,
@@ -312,6 +316,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
         if !self.state.batch.holds(ray_idx) {
             self.state.batch.prepare::<S, ANY>(space, self.tree, ray_idx, &self.rays[ray_idx..self.end]);
         }
+        self.state.rays[slot_idx] = *ray;
         let begun = &mut self.state.slots[slot_idx];
         (begun.ray_idx, begun.nearest) = (ray_idx as u32, Nearest::default());
 
@@ -472,28 +477,13 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
         let triangles: &[u32; 16] =
             self.state.triangles.indices[first..first + 16].try_into().expect("sixteen triangles");
         let slots: &[u32; 16] = self.state.triangles.slots[first..first + 16].try_into().expect("sixteen slots");
-        // By index: an array's iterator copies all of it.
-        let (points, mut corners) = (mesh.gather_corners::<S>(triangles), [[[0.0; 16]; 3]; 3]);
-        for corner in 0..3 {
-            for axis in 0..3 {
-                points[corner][axis].store(&mut corners[corner][axis]);
-            }
-        }
-        // Lanes behind the last may have slots of an earlier call, and rays that are not there: they get the last ray.
-        let mut ray_indices = [0; 16];
-        for lane in 0..S::LANES {
-            ray_indices[lane] = self.state.slots[slots[lane] as usize % N_SLOTS].ray_idx;
-        }
-        let (mut origin, mut direction) = ([[0.0; 16]; 3], [[0.0; 16]; 3]);
-        let columns = S::gather_columns(bytemuck::cast_slice(self.rays), &ray_indices);
-        for axis in 0..3 {
-            columns[axis].store(&mut origin[axis]);
-            columns[3 + axis].store(&mut direction[axis]);
-        }
+        let corners = mesh.gather_corners::<S>(triangles);
+        let [x, y, z, along_x, along_y, along_z, _, _] =
+            S::gather_columns(bytemuck::cast_slice(&self.state.rays), slots);
 
         // Decide, and offer the hits to their rays.
         for first_lane in (0..S::LANES.min(n)).step_by(S::Double::LANES) {
-            let decision = triangle::decide_lanes::<S::Double>(&origin, &direction, &corners, first_lane);
+            let decision = triangle::decide_lanes(&[x, y, z], &[along_x, along_y, along_z], &corners, first_lane);
             let mut ts = [0.0; 8];
             decision.t.store(&mut ts);
             let n_lanes = (n - first_lane).min(S::Double::LANES);
@@ -504,7 +494,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
                 let triangle = triangles[first_lane + lane];
                 let slot_idx = slots[first_lane + lane] as usize % N_SLOTS;
                 let slot = &mut self.state.slots[slot_idx];
-                let ray = &self.rays[slot.ray_idx as usize];
+                let ray = &self.state.rays[slot_idx];
                 let certain_t = (decision.uncertain >> lane & 1 == 0).then_some(ts[lane]);
                 if let Some(t) = triangle::finish(ray, certain_t, || mesh.corners_by_call(triangle)) {
                     slot.nearest.offer(mesh, ray, triangle, t);

@@ -9,7 +9,7 @@ use glam::Vec3;
 
 use crate::{
     intersect::{exact::ExactSum, ray::Ray},
-    simd::Real,
+    simd::{Real, Simd},
 };
 
 /// The t at which a ray meets the plane of a triangle that it hits, or `None` if it hits none within `t_min..=t_max`.
@@ -36,25 +36,28 @@ pub(super) fn finish(ray: &Ray, certain_t: Option<f64>, corners: impl FnOnce() -
     (f64::from(ray.t_min)..=f64::from(ray.t_max)).contains(&t).then_some(t)
 }
 
-/// Decides on pairs of a ray and a triangle, one a lane from `first` on: the rays' origins and directions by axis, and the
-/// triangles' corners by corner and axis.
+/// Decides on pairs of a ray and a triangle, one a lane, in the lanes from `first` on: the rays' origins and directions by
+/// axis, and the triangles' corners by corner and axis.
 #[inline(always)]
-pub(super) fn decide_lanes<R: Real>(
-    origin: &[[f32; 16]; 3],
-    direction: &[[f32; 16]; 3],
-    corners: &[[[f32; 16]; 3]; 3],
+pub(super) fn decide_lanes<S: Simd>(
+    origin: &[S; 3],
+    direction: &[S; 3],
+    corners: &[[S; 3]; 3],
     first: usize,
-) -> Decision<R> {
-    let mut points = [[R::splat(0.0); 3]; 3];
-    for corner in 0..3 {
-        points[corner] = load(&corners[corner], first);
-    }
-    EdgePlanes::new(load(origin, first), points).decide(load(direction, first))
+) -> Decision<S::Double> {
+    EdgePlanes::new(widen(origin, first), widen_corners(corners, first)).decide(widen(direction, first))
 }
 
+/// Points in the lanes from `first` on.
 #[inline(always)]
-fn load<R: Real>([x, y, z]: &[[f32; 16]; 3], first: usize) -> Vector<R> {
-    [R::load(&x[first..]), R::load(&y[first..]), R::load(&z[first..])]
+fn widen<S: Simd>([x, y, z]: &[S; 3], first: usize) -> Vector<S::Double> {
+    [x.widen(first), y.widen(first), z.widen(first)]
+}
+
+/// The corners of triangles in the lanes from `first` on.
+#[inline(always)]
+pub(super) fn widen_corners<S: Simd>([a, b, c]: &[[S; 3]; 3], first: usize) -> [Vector<S::Double>; 3] {
+    [widen(a, first), widen(b, first), widen(c, first)]
 }
 
 /// The decision in `f64` on pairs of a ray and a triangle, with a bit for each pair in the masks.

@@ -10,14 +10,16 @@ use super::{
 };
 
 /// Eight lanes in an AVX2 register. Made only inside functions that enable `avx2` and `fma`.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, NoUninit)]
+#[repr(transparent)]
 pub(crate) struct Avx2(__m256);
 
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2Double(__m256d);
 
 /// Sixteen lanes in an AVX-512 register. Made only inside functions that enable `avx512f`.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, NoUninit)]
+#[repr(transparent)]
 pub(crate) struct Avx512(__m512);
 
 #[derive(Clone, Copy)]

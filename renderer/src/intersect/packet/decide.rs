@@ -10,7 +10,7 @@ use crate::{
     intersect::{
         packet::ray_set::Packet,
         ray::Hit,
-        triangle::{self, EdgePlanes, Plane, Vector},
+        triangle::{self, EdgePlanes, Plane, Vector, widen_corners},
     },
     simd::{Real, Simd},
 };
@@ -160,11 +160,11 @@ impl<'a, const N: usize> NearestHits<'a, N> {
             }
         }
         let [x, y, z] = &directions;
-        let corners = CornerLanes::of::<S>(self.mesh, &self.triangles);
+        let corners = self.mesh.gather_corners::<S>(&self.triangles);
 
         // Decide a vector of doubles at a time, and keep the hits.
         for first in (0..n_pairs).step_by(S::Double::LANES) {
-            let planes = EdgePlanes::new(self.origin(), corners.double_lanes::<S::Double>(first));
+            let planes = EdgePlanes::new(self.origin(), widen_corners(&corners, first));
             let direction = [S::Double::load(&x[first..]), S::Double::load(&y[first..]), S::Double::load(&z[first..])];
             let decision = planes.decide(direction);
             let mut all_t = [0.0; 8];
@@ -210,9 +210,9 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         for lane in 0..S::LANES {
             triangles[lane] = if estimated >> lane & 1 == 1 { indices[lane] } else { any_triangle };
         }
-        let corners = CornerLanes::of::<S>(self.mesh, &triangles);
+        let corners = self.mesh.gather_corners::<S>(&triangles);
         for half in (0..S::LANES).step_by(S::Double::LANES) {
-            let plane = Plane::new(self.origin(), corners.double_lanes::<S::Double>(half));
+            let plane = Plane::new(self.origin(), widen_corners(&corners, half));
             self.intersect_planes::<S>(packet, first + half, estimated >> half, &triangles[half..], &plane);
         }
     }
@@ -286,35 +286,5 @@ impl<'a, const N: usize> NearestHits<'a, N> {
     #[inline(never)]
     fn decide_exactly(&self, ray: usize, triangle: u32) -> Option<f64> {
         triangle::intersect_exactly(&self.packets[ray / 64].ray(ray % 64), &self.mesh.corners(triangle))
-    }
-}
-
-/// Coordinates of triangles' corners by corner, axis and lane.
-struct CornerLanes([[[f32; 16]; 3]; 3]);
-
-impl CornerLanes {
-    /// Gathers the corners of as many triangles as `S` has lanes.
-    #[inline(always)]
-    fn of<S: Simd>(mesh: &TracedMesh, triangles: &[u32; 16]) -> Self {
-        let in_lanes = mesh.gather_corners::<S>(triangles);
-        let mut corners = [[[0.0; 16]; 3]; 3];
-        for corner in 0..3 {
-            for axis in 0..3 {
-                in_lanes[corner][axis].store(&mut corners[corner][axis]);
-            }
-        }
-        Self(corners)
-    }
-
-    /// The corners in lanes from `first` on, as many as `R` has lanes.
-    #[inline(always)]
-    fn double_lanes<R: Real>(&self, first: usize) -> [Vector<R>; 3] {
-        let mut double = [[R::splat(0.0); 3]; 3];
-        for corner in 0..3 {
-            for axis in 0..3 {
-                double[corner][axis] = R::load(&self.0[corner][axis][first..]);
-            }
-        }
-        double
     }
 }
