@@ -69,15 +69,30 @@ impl Shaft {
         passed
     }
 
-    /// A bit for each child of a node that is a leaf, or none, where [`Shaft::passed_children`] has its bit.
+    /// The bit in `passed` of the box with the largest surface, and those as large. The sides and bits are those of
+    /// [`Shaft::passed_children`].
     #[inline(always)]
-    pub(super) fn leaves<S: Simd>(&self, node: &HierarchyNode) -> u32 {
-        let (mut leaves, within) = (0, S::LANES - 1);
+    pub(super) fn largest<S: Simd>(&self, BoxRows(rows): &BoxRows, passed: u32) -> u32 {
+        const MOST_VECTORS: usize = 2;
+        let within = S::LANES - 1;
+        let (mut areas, mut greatest) = ([S::splat(0.0); MOST_VECTORS], S::splat(0.0));
         for first in (0..CHILDREN).step_by(S::LANES) {
-            let children = S::load_bits(&node.children[first..]).reflect((self.nearest & within) as u32);
-            leaves |= children.sign_mask() << (first ^ (self.nearest & !within));
+            let mut sizes = [S::splat(0.0); 3];
+            for axis in 0..3 {
+                sizes[axis] = S::load(&rows[2 * axis + 1][first..]).sub(S::load(&rows[2 * axis][first..]));
+            }
+            let [k, u, v] = sizes;
+            let area = k.mul_add(u, u.mul_add(v, v.mul(k))).reflect((self.nearest & within) as u32);
+            let bits_first = first ^ (self.nearest & !within);
+            let area = S::select(passed >> bits_first, area, S::splat(0.0));
+            areas[bits_first / S::LANES % MOST_VECTORS] = area;
+            greatest = greatest.max(area);
         }
-        leaves
+        let (greatest, mut largest) = (S::splat(greatest.reduce_max()), 0);
+        for first in (0..CHILDREN).step_by(S::LANES) {
+            largest |= greatest.le(areas[first / S::LANES % MOST_VECTORS]) << first;
+        }
+        largest & passed
     }
 
     /// The map from the sides of groups in a leaf's cube to the shaft.
@@ -158,5 +173,36 @@ impl Shaft {
             missed = missed.or(sides[3 + 2 * across].sub(least)).or(greatest.sub(sides[2 + 2 * across]));
         }
         missed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bytemuck::Zeroable;
+
+    use super::*;
+    use crate::simd::Portable;
+
+    #[test]
+    fn the_largest_of_the_boxes_that_are_passed_is_found() {
+        // Cubes along the shaft, of which those with even numbers lie beside it.
+        let mut node = HierarchyNode::zeroed();
+        let size = |slot: usize| 1.0 + (slot * 5 % 16) as f32;
+        for slot in 0..CHILDREN {
+            let beside = if slot.is_multiple_of(2) { 100.0 } else { 0.0 };
+            for (axis, low) in [1.0, beside - 0.5, -0.5].into_iter().enumerate() {
+                (node.sides[2 * axis][slot], node.sides[2 * axis + 1][slot]) = (low, low + size(slot));
+            }
+        }
+        let largest_slot = (1..CHILDREN).step_by(2).max_by(|&a, &b| size(a).total_cmp(&size(b))).unwrap();
+        for nearest in [0, 2, 4, 8, 14] {
+            let shaft = Shaft { sides: [0, 1, 2, 3, 4, 5], signs: [1.0; 3], end: 50.0, nearest, ..Shaft::default() };
+            let mut rows = BoxRows::default();
+            let passed = shaft.passed_children::<Portable>(&node, &mut rows);
+            let slots: Vec<_> = (0..CHILDREN).filter(|&slot| passed >> (slot ^ nearest) & 1 == 1).collect();
+            assert_eq!(slots, [1, 3, 5, 7, 9, 11, 13, 15]);
+            assert_eq!(shaft.largest::<Portable>(&rows, passed), 1 << (largest_slot ^ nearest));
+            assert_eq!(shaft.largest::<Portable>(&rows, 0), 0);
+        }
     }
 }
