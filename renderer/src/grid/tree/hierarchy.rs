@@ -45,7 +45,7 @@ const FEW_ITEMS: usize = 4096;
 
 /// Leaves whose splits are all compared, where 16 bins stand for more. With 16 bins alone, triangle nodes take a tenth more
 /// memory.
-const FEW_LEAVES: usize = 256;
+const FEW_LEAVES: usize = 1024;
 
 /// Bytes for each triangle while a hierarchy over triangles is built: an item, its part of the binary tree, and of nodes that are
 /// nearly full.
@@ -384,7 +384,7 @@ impl Split {
 
     /// Takes the best of the splits between the bins of `n` leaves along an axis, if it is better.
     fn compare(&mut self, axis: usize, bins: &[Bin], n: usize, granule: usize) {
-        let mut areas_above = [0.0; FEW_LEAVES];
+        let mut areas_above = vec![0.0; bins.len()];
         let mut above = Bounds::EMPTY;
         for bin in (1..bins.len()).rev() {
             above = above.with(&bins[bin].bounds);
@@ -412,9 +412,9 @@ struct Bin {
 impl Bin {
     /// A bin for each leaf, in their order along an axis.
     fn each(leaves: &[BoundedItem], axis: usize) -> Vec<Self> {
-        let mut bins: Vec<_> = leaves.iter().map(|leaf| Self { n: 1, bounds: leaf.bounds }).collect();
-        bins.sort_unstable_by(|a, b| a.bounds.centre()[axis].total_cmp(&b.bounds.centre()[axis]));
-        bins
+        let mut order: Vec<_> = (0..).zip(leaves).map(|(leaf, item)| (item.bounds.centre()[axis], leaf)).collect();
+        order.sort_unstable_by(|(a, _): &(f32, u32), (b, _)| a.total_cmp(b));
+        order.into_iter().map(|(_, leaf)| Self { n: 1, bounds: leaves[leaf as usize].bounds }).collect()
     }
 
     /// Sorts leaves, whose centres have these bounds, into bins of equal width along an axis.
