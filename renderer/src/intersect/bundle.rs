@@ -79,7 +79,7 @@ pub(super) struct Bundles<'a> {
     /// A triangle that hid rays of the last bundle, if none of them was left. It is tested first, because it may well hide those
     /// of the next (Haines and Greenberg, "The Light Buffer: A Shadow-Testing Accelerator", 1986).
     occluder: Option<u32>,
-    /// As in [`Bundle`].
+    /// Whether all rays of the last bundle were hidden; true before the first.
     beside_hidden: bool,
 }
 
@@ -169,7 +169,7 @@ struct Bundle<'a> {
     occluded: u32,
     /// The last triangle that some of them hit.
     occluder: Option<u32>,
-    /// Whether all rays of the last bundle were hidden; true if there was none.
+    /// As in [`Bundles`].
     beside_hidden: bool,
 }
 
@@ -307,7 +307,8 @@ impl Bundle<'_> {
         farthest <= FARTHEST * extent
     }
 
-    /// Finds the rays that hit something, from the farthest boxes to the nearest: what lies near a surface seldom hides it.
+    /// Finds the rays that hit something, from the farthest boxes to the nearest, because what lies near a surface seldom hides
+    /// it; beside hidden bundles the largest box is first.
     #[inline(always)]
     fn trace<S: Simd, const OVER_LEAVES: bool>(&mut self) {
         const N_STACK: usize = ((CHILDREN - 1) * hierarchy::LEVELS + 2).next_power_of_two();

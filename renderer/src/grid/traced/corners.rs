@@ -107,7 +107,7 @@ impl Corners {
             greatest_idx = greatest_idx.max(triangle_idx);
         }
         let greatest_idx = greatest_idx as usize;
-        let has_all = greatest_idx / TRIANGLES_PER_WINDOW < window_starts.len() && 3 * greatest_idx + 2 < bytes.len();
+        let has_all = greatest_idx / TRIANGLES_PER_WINDOW < window_starts.len() && greatest_idx < bytes.len() / 3;
         assert!(has_all, "no triangle {greatest_idx}");
         let mut vertices = [[0; 16]; 3];
         for lane in 0..S::LANES {

@@ -39,12 +39,12 @@ const FEW_TRIANGLES: usize = 1 << 22;
 /// References for each triangle from which larger scenes afford it too: rays take two thirds of the time there.
 const MANY_REFERENCES: f64 = 1.5;
 
-/// Most leaves whose nodes [`collapse`] finds: with eight times as many, rays take as long. Fewer items are not worth a
-/// second thread.
+/// Most leaves whose nodes [`collapse`] finds, because with eight times as many rays take as long, and most items that one
+/// thread takes.
 const FEW_ITEMS: usize = 4096;
 
-/// Leaves whose splits are all compared, where 16 bins stand for more. With 16 bins alone, triangle nodes take a tenth more
-/// memory.
+/// Most leaves of which every split is compared; with more, those between 16 bins are. With these alone, triangle nodes take a
+/// tenth more memory.
 const FEW_LEAVES: usize = 1024;
 
 /// Bytes for each triangle while a hierarchy over triangles is built: an item, its part of the binary tree, and of nodes that are
@@ -156,7 +156,9 @@ impl Nodes {
         if let Some(leaf) = self.append_leaf::<OF_TRIANGLES>(items) {
             return leaf;
         }
-        if OF_TRIANGLES || items.len() <= FEW_ITEMS {
+        // Where the binary tree of all has too many levels, those of its parts may have as many.
+        let is_whole = n_levels == LEVELS;
+        if (OF_TRIANGLES && is_whole) || items.len() <= FEW_ITEMS {
             let tree = BinaryNode::over::<OF_TRIANGLES>(items);
             if tree.n_levels::<OF_TRIANGLES>() <= n_levels {
                 return self.append_collapsed::<OF_TRIANGLES>(items, &tree);
@@ -320,7 +322,7 @@ impl Part {
 /// Where so many leaves are left that only full nodes can hold them, the parts have equal numbers.
 fn divide(leaves: &mut [BoundedItem], n_levels: usize, granule: usize) -> Vec<Part> {
     let is_tight = CHILDREN.checked_pow(n_levels as u32 - 1).is_some_and(|most| leaves.len() > most);
-    // The children of a node with more than 16 leaves are nodes too: full ones are worth more than a shorter way.
+    // Parts of up to 16 leaves make a node each: full ones are worth more than a shorter way.
     let smallest = if leaves.len() > CHILDREN { CHILDREN } else { 1 };
     let mut parts = vec![Part::new(leaves, 0, leaves.len())];
     while parts.len() < CHILDREN {
@@ -347,7 +349,7 @@ struct Split {
     axis: usize,
     /// Leaves on the low side.
     n_low: usize,
-    /// Sum over both sides of area times leaves.
+    /// Sum over both sides of area times the leaves that count.
     cost: f32,
 }
 
@@ -420,7 +422,7 @@ impl Bin {
     /// Sorts leaves, whose centres have these bounds, into bins of equal width along an axis.
     fn sort(leaves: &[BoundedItem], axis: usize, low: Vec3A, high: Vec3A) -> Vec<Self> {
         const N_BINS: usize = 16;
-        let bins_per_unit = N_BINS as f32 / (high[axis] - low[axis]).max(f32::MIN_POSITIVE);
+        let bins_per_unit = N_BINS as f32 / (high[axis] - low[axis]).max(N_BINS as f32 * f32::MIN_POSITIVE);
         let mut bins: Vec<_> = (0..N_BINS).map(|_| Self { n: 0, bounds: Bounds::EMPTY }).collect();
         for leaf in leaves {
             let bin = ((leaf.bounds.centre()[axis] - low[axis]) * bins_per_unit) as usize;

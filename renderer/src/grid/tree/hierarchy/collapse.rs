@@ -10,6 +10,10 @@ use super::{BoundedItem, Bounds, CHILDREN, FEW_ITEMS, Part, Split, granule};
 /// memory again, and rays pass up to a twentieth fewer.
 const NODE_COST: f32 = 5.0;
 
+/// Below so many levels, splits halve: cheaper ones may take off one item after the other, as of nested ones, and the way down
+/// would exceed a thread's stack.
+const MOST_UNEVEN_LEVELS: usize = 40;
+
 /// A node of a binary tree over items, and all below it.
 pub(super) struct BinaryNode {
     pub(super) part: Part,
@@ -34,20 +38,25 @@ impl BinaryNode {
         let mean_area = items.iter().map(|item| item.bounds.half_area()).sum::<f32>() / items.len() as f32;
         // Where no item has a surface, nodes are still worth saving.
         let node_cost = (NODE_COST * mean_area).max(f32::MIN_POSITIVE);
-        Self::new::<OF_TRIANGLES>(items, 0, node_cost)
+        Self::new::<OF_TRIANGLES>(items, 0, node_cost, 0)
     }
 
-    /// The node over items that are numbered from `first` on.
-    fn new<const OF_TRIANGLES: bool>(items: &mut [BoundedItem], first: usize, node_cost: f32) -> Self {
+    /// The node over items that are numbered from `first` on, `depth` levels below the root.
+    fn new<const OF_TRIANGLES: bool>(items: &mut [BoundedItem], first: usize, node_cost: f32, depth: usize) -> Self {
         let part = Part { first, n: items.len(), bounds: Bounds::of(items) };
         let own_cost = part.bounds.half_area() + node_cost;
         let alone = Forest { cost: if OF_TRIANGLES { own_cost } else { 0.0 }, n_roots: [0; 2] };
         let mut node = Self { part, children: None, forests: [alone; CHILDREN], below: alone };
         if part.n > granule::<OF_TRIANGLES>() {
-            let n_low = Split::best(items, granule::<OF_TRIANGLES>()).apply(items);
+            let split = if depth < MOST_UNEVEN_LEVELS {
+                Split::best(items, granule::<OF_TRIANGLES>())
+            } else {
+                Split::half(part.n, &part.bounds)
+            };
+            let n_low = split.apply(items);
             let (low, high) = items.split_at_mut(n_low);
-            let mut low = || Self::new::<OF_TRIANGLES>(low, first, node_cost);
-            let mut high = || Self::new::<OF_TRIANGLES>(high, first + n_low, node_cost);
+            let mut low = || Self::new::<OF_TRIANGLES>(low, first, node_cost, depth + 1);
+            let mut high = || Self::new::<OF_TRIANGLES>(high, first + n_low, node_cost, depth + 1);
             let children = if part.n > FEW_ITEMS { rayon::join(low, high) } else { (low(), high()) };
             node.join(children.into(), own_cost);
         }
@@ -170,6 +179,18 @@ mod tests {
             let found = tree.cost(node_cost, &|node| kept.iter().any(|&of_kept| ptr::eq(of_kept, node))).unwrap();
             assert!(found <= least * (1.0 + 1e-5), "{n}: {found} instead of {least}");
         }
+    }
+
+    #[test]
+    fn no_thread_runs_out_of_stack_where_items_are_nested() {
+        let size = |k: u32| DVec3::splat(1e-30 * 1.001f64.powi(k as i32));
+        let item = |item| BoundedItem { bounds: Bounds::new(DVec3::ZERO, size(item)), item };
+        let tree = BinaryNode::over::<true>(&mut (0..80_000).map(item).collect::<Vec<_>>());
+        fn depth(node: &BinaryNode) -> usize {
+            1 + node.children.iter().flat_map(|children| children.iter()).map(depth).max().unwrap_or(0)
+        }
+        let most = MOST_UNEVEN_LEVELS + 20;
+        assert!(depth(&tree) <= most, "{} levels", depth(&tree));
     }
 
     #[test]
