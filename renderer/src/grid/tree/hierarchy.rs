@@ -156,9 +156,9 @@ impl Nodes {
         if let Some(leaf) = self.append_leaf::<OF_TRIANGLES>(items) {
             return leaf;
         }
-        // Where the binary tree of all has too many levels, those of its parts may have as many.
-        let is_whole = n_levels == LEVELS;
-        if (OF_TRIANGLES && is_whole) || items.len() <= FEW_ITEMS {
+        // Where the binary tree of all triangles has too many levels, it is not made anew for each large part.
+        let is_whole = OF_TRIANGLES && n_levels == LEVELS;
+        if is_whole || items.len() <= FEW_ITEMS {
             let tree = BinaryNode::over::<OF_TRIANGLES>(items);
             if tree.n_levels::<OF_TRIANGLES>() <= n_levels {
                 return self.append_collapsed::<OF_TRIANGLES>(items, &tree);
@@ -185,7 +185,7 @@ impl Nodes {
         self.append_node(&parts, children, |nodes, child| nodes.append_collapsed::<OF_TRIANGLES>(items, child))
     }
 
-    /// Appends a node with these parts, and what `append` adds for each of them, in parallel where items are many; returns it.
+    /// Appends a node with these parts, and what `append` adds for each of them, in parallel where items are many; returns its index.
     fn append_node<T: Send>(
         &mut self,
         parts: &[Part],
