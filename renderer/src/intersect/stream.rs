@@ -192,6 +192,7 @@ impl Groups {
 /// The state of a stream. Making it takes longer than tracing a ray, so each thread keeps one.
 struct State {
     slots: [Slot; N_SLOTS],
+    /// The ray of each slot: side by side, they share cache lines with no stack.
     rays: [Ray; N_SLOTS],
     /// The node or leaf that each slot's ray enters next; [`NONE`] at its end.
     entries: [Entry; N_SLOTS],

@@ -1,6 +1,6 @@
 use super::*;
 
-/// Moves and compresses lanes as [`Simd`] says, for any mask, and compares with loops over numbers.
+/// Moves, widens and compresses lanes as [`Simd`] says, for any mask, and compares with loops over numbers.
 struct MovesLanes;
 
 impl Kernel for MovesLanes {
@@ -23,6 +23,13 @@ impl Kernel for MovesLanes {
             S::pick_bits(&numbers, &places[first..]).store_bits(&mut picked);
             let expected = places[first..].iter().map(|&place| numbers[place as usize % 16]);
             assert!(expected.take(S::LANES).eq(picked[..S::LANES].iter().copied()));
+        }
+        let thirds: [f32; 16] = std::array::from_fn(|lane| lane as f32 / 3.0);
+        for first in (0..S::LANES).step_by(S::Double::LANES) {
+            let mut wide = [0.0; 8];
+            S::load(&thirds).widen(first).store(&mut wide);
+            let expected = thirds[first..].iter().map(|&third| f64::from(third));
+            assert!(expected.take(S::Double::LANES).eq(wide[..S::Double::LANES].iter().copied()), "{first}");
         }
         for mask in 0..1u32 << S::LANES {
             let mut kept = [0; 16];

@@ -112,7 +112,7 @@ impl Corners {
         let mut vertices = [[0; 16]; 3];
         for lane in 0..S::LANES {
             let triangle_idx = triangle_indices[lane] as usize;
-            // SAFETY: the greatest index has a window and three corners.
+            // SAFETY: the greatest index has a window and three corners, so all have.
             let (start, corners) = unsafe {
                 let start = *window_starts.get_unchecked(triangle_idx / TRIANGLES_PER_WINDOW);
                 (start, bytes.as_ptr().add(3 * triangle_idx).cast::<[u8; 3]>().read())
