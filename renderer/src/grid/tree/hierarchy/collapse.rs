@@ -4,7 +4,10 @@
 //! bottom, after Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs" (2017):
 //! for each subtree and each number of roots, the cheapest forest of so many nodes, and all below, in its place.
 
-use super::{BoundedItem, Bounds, CHILDREN, FEW_ITEMS, Part, Split, granule};
+use super::{
+    BoundedItem, Bounds, CHILDREN, FEW_ITEMS, Part,
+    split::{Split, granule},
+};
 
 /// Each node costs so many mean surfaces of items beside its own, so that nodes are full: without this, they take half as much
 /// memory again, and rays pass up to a twentieth fewer.
