@@ -22,6 +22,7 @@ use crate::{
     simd::{Simd, consecutive},
 };
 use shaft::{BoxRows, Shaft};
+use triangles::Pairs;
 
 /// Most rays of a bundle.
 pub(super) const MOST_RAYS: usize = 16;
@@ -32,12 +33,12 @@ const FEWEST_RAYS: usize = 8;
 /// Most difference between slopes of rays that go together.
 const WIDEST: f32 = 1.0 / 16.0;
 
-/// Typical triangles that cover the section of the widest shaft. With more, rays gain little close by, and lose where scans are
-/// seen whole; tests/README.md has figures.
-const TRIANGLES_IN_SECTION: f32 = 8.0;
+/// Typical triangles that cover the section of the widest shaft. With fewer, rays lose close to scans, and with more, where scans
+/// are seen whole; tests/README.md has figures.
+const TRIANGLES_IN_SECTION: f32 = 64.0;
 
 /// The greatest slope: along the major axis of one ray of a bundle, others may be a little steeper than 1.
-const STEEPEST: f32 = 2.0;
+const STEEPEST: f32 = 1.125;
 
 /// The greatest inverse of a slope: over a grid, smaller slopes move a ray by less than the margin.
 const GREATEST_INVERSE: f32 = 1e12;
@@ -101,21 +102,10 @@ impl<'a> Bundles<'a> {
             return None;
         }
         let left = u32::MAX >> (32 - rays.len());
-        let (lanes, shaft) = Default::default();
+        let (lanes, shaft, pairs) = (RayLanes::default(), Shaft::default(), Pairs::NONE);
         let Self { grid, tree, widest_section, occluder, beside_hidden } = *self;
-        let mut bundle = Bundle {
-            grid,
-            tree,
-            rays,
-            axes,
-            lanes,
-            shaft,
-            reach: 0.0,
-            left,
-            occluded: 0,
-            occluder: None,
-            beside_hidden,
-        };
+        let mut bundle =
+            Bundle { grid, tree, rays, axes, lanes, shaft, pairs, left, occluded: 0, occluder: None, beside_hidden };
         if !bundle.bound::<S>() || bundle.shaft.section(tree.extent) > widest_section {
             return None;
         }
@@ -161,8 +151,7 @@ struct Bundle<'a> {
     axes: [usize; 3],
     lanes: RayLanes,
     shaft: Shaft,
-    /// No coordinate of a corner is farther from a ray's origin, in world units.
-    reach: f32,
+    pairs: Pairs,
     /// A bit for each ray that may still hit something.
     left: u32,
     /// A bit for each ray that hits something.
@@ -278,7 +267,7 @@ impl Bundle<'_> {
     /// Sets the shaft's sides and margins, for rays within bounds in world units. Returns false where they are too large.
     #[inline(always)]
     fn set_margins(&mut self, first: [f32; 3], signs: [f32; 3], origins: [[f32; 2]; 3], start: f32, end: f32) -> bool {
-        let (space, bounds) = (&self.grid.space, self.grid.mesh().bounds());
+        let space = &self.grid.space;
         let extent = f64::from(self.tree.extent.into_iter().max().unwrap_or(1));
         let in_cells = |length: f32| f64::from(length) * space.cells_per_unit;
         let mut farthest = extent + in_cells(start).abs();
@@ -288,7 +277,6 @@ impl Bundle<'_> {
             let from_low = f64::from(first[local_axis]) - f64::from(space.origin[axis]);
             first_in_cells[local_axis] = from_low * space.cells_per_unit * f64::from(signs[local_axis]);
             farthest += first_in_cells[local_axis].abs() + in_cells(high - low);
-            self.reach = self.reach.max(bounds.max[axis] - low).max(high - bounds.min[axis]);
         }
         let margin = farthest * SHAFT_MARGIN + CUBE_MARGIN;
         let shaft = &mut self.shaft;
@@ -335,6 +323,10 @@ impl Bundle<'_> {
                     let passed = self.shaft.passed_children::<S>(node, &mut rows);
                     self.visit_boxes::<S, false>(&rows, passed, self.shaft.nearest, &node.children);
                 }
+                // Beside hidden bundles few triangles may hide all rays.
+                if self.beside_hidden {
+                    self.test_waiting::<S>();
+                }
                 continue;
             }
             let node = &nodes[index];
@@ -342,21 +334,24 @@ impl Bundle<'_> {
             // Beside others that are hidden, the largest box is entered first: it may hold a triangle that hides the next bundles
             // too. Elsewhere finding it took up to 8 % of the time.
             let largest = if self.beside_hidden { self.shaft.largest::<S>(&rows, passed) } else { 0 };
+            let n_before = n_stack;
             for mut passed in [passed & !largest, largest] {
                 while passed != 0 {
                     let slot = (passed.trailing_zeros() as usize ^ self.shaft.nearest) % CHILDREN;
                     passed &= passed - 1;
-                    let (child, rays) = (node.children[slot], self.passing::<S>(&rows.0, slot));
-                    if rays != 0 {
-                        if !OVER_LEAVES || child & LEAF == 0 {
-                            self.tree.hierarchy.prefetch::<S>(child);
-                        }
-                        stack[n_stack % N_STACK] = (child, rays);
-                        n_stack += 1;
-                    }
+                    // Without a branch: nobody can tell which boxes of the shaft rays pass.
+                    let rays = self.passing::<S>(&rows.0, slot);
+                    stack[n_stack % N_STACK] = (node.children[slot], rays);
+                    n_stack += usize::from(rays != 0);
+                }
+            }
+            for &(child, _) in &stack[n_before % N_STACK..n_stack % N_STACK] {
+                if !OVER_LEAVES || child & LEAF == 0 {
+                    self.tree.hierarchy.prefetch::<S>(child);
                 }
             }
         }
+        self.test_waiting::<S>();
     }
 
     /// Tests the triangles in a leaf of the tree: those in groups whose bounds, and in boxes, that rays pass.
@@ -397,18 +392,13 @@ impl Bundle<'_> {
             let slot = (passed.trailing_zeros() as usize ^ flip) % CHILDREN;
             passed &= passed - 1;
             let rays = self.passing::<S>(&rows.0, slot);
-            if rays != 0 {
-                let triangle = triangles[slot];
-                let triangle = if ARE_ITEMS { self.tree.items.triangle(triangle) } else { triangle };
-                self.grid.mesh().prefetch_vertices::<S>(triangle);
-                met[n_met % CHILDREN] = (triangle, rays);
-                n_met += 1;
-            }
+            met[n_met % CHILDREN] = (triangles[slot], rays);
+            n_met += usize::from(rays != 0);
         }
         for &(triangle, rays) in &met[..n_met] {
-            if rays & self.left != 0 {
-                self.test_triangle::<S>(triangle, rays & self.left);
-            }
+            let triangle = if ARE_ITEMS { self.tree.items.triangle(triangle) } else { triangle };
+            self.grid.mesh().prefetch_vertices::<S>(triangle);
+            self.test_soon::<S>(triangle, rays & self.left);
         }
     }
 
@@ -428,15 +418,6 @@ impl Bundle<'_> {
             passing |= near.le(far) << lane;
         }
         passing & self.left
-    }
-
-    #[inline(always)]
-    fn occlude(&mut self, triangle: u32, rays: u32) {
-        if rays != 0 {
-            self.occluder = Some(triangle);
-        }
-        self.occluded |= rays;
-        self.left &= !rays;
     }
 }
 
@@ -482,7 +463,7 @@ mod tests {
         let expected = left.iter().map(|ray| u32::from(grid.occluded(ray))).rev().fold(0, |mask, hit| mask << 1 | hit);
         assert_eq!(occluded(&left), (Some(expected), None));
         assert!(expected != 0 && expected != 0xffff);
-        for (spacing, why) in [(40.0, "far apart"), (15.0, "a wide shaft")] {
+        for (spacing, why) in [(120.0, "far apart"), (45.0, "a wide shaft")] {
             assert_eq!(occluded(&rays(spacing)).0, None, "{why}");
         }
         for lane in [7, 15] {

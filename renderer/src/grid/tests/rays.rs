@@ -221,3 +221,28 @@ fn rays_that_lead_nowhere_miss_in_bounded_time() {
         }
     }
 }
+
+/// The pairs of such a bundle and its triangles fill several vectors.
+#[test]
+fn bundles_over_small_triangles_are_occluded_as_alone() {
+    let mesh = statue::generate(20_000, &|_| ());
+    let [low, high] = mesh.bounds().corners().map(glam::DVec3::as_vec3);
+    let (centre, size) = (0.5 * (low + high), (high - low).max_element());
+    let mut rays = Vec::new();
+    for bundle in 0..200 {
+        let angle = 0.37 * bundle as f32;
+        let toward = Vec3::new(angle.cos(), 0.2, angle.sin());
+        let beside = Vec3::new(-angle.sin(), 0.0, angle.cos());
+        for lane in 0..16 {
+            let across = beside * (lane % 4) as f32 + Vec3::Y * (lane / 4) as f32;
+            let start = centre - toward * size + Vec3::Y * (0.02 * size * (bundle % 23 - 11) as f32);
+            let t_max = size * (0.3 + 0.1 * (lane * 7 % 11) as f32);
+            rays.push(Ray { t_max, ..Ray::new(start + across * (0.004 * size), toward) });
+        }
+    }
+    for grid in [build(&mesh), over_leaves(build(&mesh))] {
+        let n_occluded = rays.iter().filter(|ray| grid.occluded(ray)).count();
+        assert!((rays.len() / 4..rays.len() * 3 / 4).contains(&n_occluded), "{n_occluded}");
+        check_occluded(in_bundles(grid), &rays).unwrap();
+    }
+}
