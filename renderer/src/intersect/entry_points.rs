@@ -14,7 +14,7 @@ use crate::{
             hierarchy::{CHILDREN, Entry, Hierarchy, HierarchyNode, LEAF, NONE},
         },
     },
-    intersect::{descent::Descent, ray::Ray, starts::RayStarts},
+    intersect::{descent::Descent, ray::Ray, rays::prefetch_ahead, starts::RayStarts},
     simd::Simd,
 };
 
@@ -76,6 +76,10 @@ impl RayBatch {
         self.rays = first..first + n;
         let n_vectors = n.div_ceil(S::LANES);
         for vector in 0..n_vectors {
+            // Bundles have read rays of which any hit counts.
+            if !ANY {
+                prefetch_ahead::<S>(rays, vector * S::LANES);
+            }
             self.starts[vector].prepare_rays::<S, ANY>(space, tree.extent, &rays[vector * S::LANES..]);
         }
         let Hierarchy { root, triangle_nodes, .. } = &tree.hierarchy;

@@ -176,6 +176,17 @@ impl Grid {
     }
 }
 
+/// Hints that the 16 rays will be read soon that lie a little behind these, there or not: a caller may have many in memory. Rays of
+/// ambient occlusion take 0.96 of the time.
+#[inline(always)]
+pub(super) fn prefetch_ahead<S: Simd>(rays: &[Ray], first: usize) {
+    const AHEAD: usize = 32;
+    const RAYS_PER_LINE: usize = 2;
+    for ray in (0..16).step_by(RAYS_PER_LINE) {
+        S::prefetch(rays, first + AHEAD + ray);
+    }
+}
+
 /// Rays of which any hit counts: bundles of those that go together, and a stream of all others.
 struct BundlesAndStream<'a, F> {
     grid: &'a Grid,
@@ -193,6 +204,7 @@ impl<F: FnMut(usize, Nearest)> Kernel for BundlesAndStream<'_, F> {
         let mut bundles = Bundles::new(grid, tree);
         let mut runs_alone: Vec<Range<usize>> = Vec::new();
         for first in (0..rays.len()).step_by(bundle::MOST_RAYS) {
+            prefetch_ahead::<S>(rays, first);
             let end = rays.len().min(first + bundle::MOST_RAYS);
             if let Some(occluded) = bundles.occluded::<S>(&rays[first..end]) {
                 (first..end).for_each(|index| answer(index, Nearest::any(occluded >> (index - first) & 1 == 1)));
