@@ -24,7 +24,7 @@ use crate::{
     simd::Simd,
 };
 use boxes::{LeafCube, QuantizedBoxes};
-use hierarchy::{Bounds, Entry, Hierarchy};
+use hierarchy::{Entry, Hierarchy, pieces};
 use items::Items;
 
 /// Cells of the paper's resolution along a brick.
@@ -136,12 +136,9 @@ impl Tree {
 
     /// The hierarchy over the mesh's triangles.
     pub(crate) fn hierarchy_over_triangles(space: &CellSpace, mesh: &TracedMesh) -> Hierarchy {
-        let bounds = |triangle_idx: u32| {
-            let to_cells = |corner: [f32; 3]| space.point_to_cells(Vec3::from_array(corner).as_dvec3());
-            let [a, b, c] = mesh.corners(triangle_idx).map(to_cells);
-            (triangle_idx, Bounds::new(a.min(b).min(c), a.max(b).max(c)))
-        };
-        Hierarchy::over_triangles((0..mesh.n_triangles() as u32).into_par_iter().map(bounds))
+        let to_cells = |corner: [f32; 3]| space.point_to_cells(Vec3::from_array(corner).as_dvec3());
+        let corners = |triangle_idx: u32| mesh.corners(triangle_idx).map(to_cells);
+        Hierarchy::over_triangles(pieces::of_triangles(mesh.n_triangles() as u32, corners))
     }
 
     /// Sizes and counts, without storage and density.
