@@ -323,7 +323,7 @@ impl Bundle<'_> {
                     let passed = self.shaft.passed_children::<S>(node, &mut rows);
                     self.visit_boxes::<S, false>(&rows, passed, self.shaft.nearest, &node.children);
                 }
-                // Beside hidden bundles few triangles may hide all rays.
+                // Beside hidden bundles a few triangles may hide all rays, which ends the walk.
                 if self.beside_hidden {
                     self.test_waiting::<S>();
                 }

@@ -285,7 +285,7 @@ mod tests {
                 for &entry in &entry_points.entries[..entry_points.n] {
                     triangles_below(hierarchy, entry, &mut found);
                 }
-                // Of a triangle in pieces, some that its box meets need not be there.
+                // Bounds may meet a triangle's box, and none of its pieces.
                 let is_met = |triangle: &u32| {
                     let [a, b, c] = mesh.corners(*triangle).map(to_cells);
                     let points = [a, b, c, (a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0, (a + b + c) / 3.0];

@@ -36,7 +36,7 @@ pub(crate) const LEAF: Entry = 1 << 31;
 /// The root of no leaves.
 pub(crate) const NONE: Entry = u32::MAX;
 
-/// Most triangles of a scene that affords a hierarchy over them in any case: it takes 130 MB.
+/// Most triangles of a scene that affords a hierarchy over them in any case: it takes 130 to 160 MB.
 const FEW_TRIANGLES: usize = 1 << 22;
 
 /// References for each triangle from which larger scenes afford it too: rays take two thirds of the time there.

@@ -1,4 +1,5 @@
-//! Pieces of triangles whose boxes are mostly empty, as those of long thin ones that lie askew: rays pass fewer of them.
+//! Pieces of triangles whose boxes are mostly empty, as those of long thin ones that lie askew: the pieces' boxes are smaller
+//! together, so rays pass fewer.
 //!
 //! After Ernst and Greiner, "Early Split Clipping for Bounding Volume Hierarchies" (2007); which triangles are worth it is
 //! measured as Karras and Aila do, "Fast Parallel Construction of High-Quality Bounding Volume Hierarchies" (2013).
@@ -8,13 +9,13 @@ use rayon::prelude::*;
 
 use super::Bounds;
 
-/// Most emptiness of a piece, in boxes of a typical triangle. Half of it costs memory, and time on scans.
+/// Most emptiness of a piece, in mean boxes; doubled until pieces are few enough. Half of it costs memory, and time on scans.
 const MOST_EMPTY: f64 = 2.0;
 
-/// Most pieces, for each triangle.
+/// Most pieces, divided by the number of triangles.
 pub(super) const MOST_PIECES: f64 = 1.25;
 
-/// Halvings of a triangle.
+/// Most halvings on the way from a triangle to a piece.
 const MOST_HALVINGS: u32 = 16;
 
 /// More than the rounding error of where a triangle is cut, in finest cells.
@@ -31,7 +32,7 @@ pub(crate) fn of_triangles(
     let box_area = |triangle: u32| Polygon(corners(triangle).to_vec()).box_area();
     let sum = |block: u32| {
         let first = block * TRIANGLES_AT_ONCE;
-        (first..n_triangles.min(first + TRIANGLES_AT_ONCE)).map(box_area).sum::<f64>()
+        (first..n_triangles.min(first.saturating_add(TRIANGLES_AT_ONCE))).map(box_area).sum::<f64>()
     };
     let sums: Vec<_> = (0..n_triangles.div_ceil(TRIANGLES_AT_ONCE)).into_par_iter().map(sum).collect();
     let mut most_empty = MOST_EMPTY * sums.iter().sum::<f64>() / f64::from(n_triangles);
@@ -46,7 +47,7 @@ pub(crate) fn of_triangles(
         .flat_map_iter(move |triangle| pieces(corners(triangle), most_empty).map(move |bounds| (triangle, bounds)))
 }
 
-/// The bounds of a triangle, or of its pieces if it leaves more of its box empty.
+/// The bounds of a triangle, or of its pieces if its emptiness is greater than `most_empty`.
 fn pieces(corners: [DVec3; 3], most_empty: f64) -> impl Iterator<Item = Bounds> {
     let whole = Polygon(corners.to_vec());
     let mut pieces = Vec::new();
@@ -77,7 +78,8 @@ impl Polygon {
         size.x * size.y + size.y * size.z + size.z * size.x
     }
 
-    /// Half of the surface of its box beyond what triangles at best have: twice what they cover along the axes.
+    /// Half of the surface of its box, less twice the areas that it covers seen along the axes; at most 0 where it fills the box
+    /// as well as a triangle can.
     fn emptiness(&self) -> f64 {
         let first = self.0[0];
         let across = |pair: &[DVec3]| (pair[0] - first).cross(pair[1] - first);
