@@ -13,7 +13,8 @@ use crate::{
 };
 
 /// Rounding error of an edge's side, relative to L·(L + D) for the corners' largest sheared coordinate L and largest depth D: 20
-/// roundings, for slopes up to [`super::STEEPEST`], and 12 to spare.
+/// roundings, for slopes up to [`super::STEEPEST`], and 12 to spare. Such products are finite: usable positions are below 10¹⁷, and
+/// bundles span at most [`super::FARTHEST`] extents.
 const SIDE_MARGIN: f32 = 32.0 / (1u32 << 24) as f32;
 
 /// Rounding error of a depth, relative to distances along the normal: 20 roundings, and 12 to spare.
@@ -136,7 +137,6 @@ impl Bundle<'_> {
                 self.test_vector::<S>(first, S::LANES);
             }
             let Pairs { rays, triangles, n } = &mut self.pairs;
-
             rays.copy_within(MOST_RAYS..2 * MOST_RAYS, 0);
             triangles.copy_within(MOST_RAYS..2 * MOST_RAYS, 0);
             *n -= MOST_RAYS;
