@@ -191,7 +191,7 @@ impl Grid {
             |n_bytes_left| !is_compact && Hierarchy::is_over_triangles(mesh.n_triangles(), n_items, n_bytes_left);
         let is_limited = is_over_triangles(u64::MAX) && !is_over_triangles(n_bytes_left);
         tree.hierarchy = if is_over_triangles(n_bytes_left) {
-            Tree::hierarchy_over_triangles(&space, &mesh)
+            Tree::hierarchy_over_triangles(&space, &mesh, n_bytes_left)
         } else {
             tree.hierarchy_over_leaves()
         };

@@ -134,11 +134,12 @@ impl Tree {
         Hierarchy::over_leaves((0..self.leaf_cubes.len()).into_par_iter().map(|leaf| bounds(leaf as u32)))
     }
 
-    /// The hierarchy over the mesh's triangles.
-    pub(crate) fn hierarchy_over_triangles(space: &CellSpace, mesh: &TracedMesh) -> Hierarchy {
+    /// The hierarchy over the mesh's triangles, for which so many bytes are left.
+    pub(crate) fn hierarchy_over_triangles(space: &CellSpace, mesh: &TracedMesh, n_bytes_left: u64) -> Hierarchy {
         let to_cells = |corner: [f32; 3]| space.point_to_cells(Vec3::from_array(corner).as_dvec3());
         let corners = |triangle_idx: u32| mesh.corners(triangle_idx).map(to_cells);
-        Hierarchy::over_triangles(pieces::of_triangles(mesh.n_triangles() as u32, corners))
+        let most_pieces = Hierarchy::most_pieces(mesh.n_triangles(), n_bytes_left);
+        Hierarchy::over_triangles(pieces::of_triangles(mesh.n_triangles() as u32, most_pieces, corners))
     }
 
     /// Sizes and counts, without storage and density.

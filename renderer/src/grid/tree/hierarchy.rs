@@ -130,8 +130,13 @@ impl Hierarchy {
     /// references to them.
     pub(crate) fn is_over_triangles(n_triangles: usize, n_references: usize, n_bytes_left: u64) -> bool {
         let is_faster = n_triangles <= FEW_TRIANGLES || n_references as f64 >= MANY_REFERENCES * n_triangles as f64;
-        let n_bytes = n_triangles as f64 * pieces::MOST_PIECES * BYTES_PER_PIECE as f64;
-        is_faster && n_bytes <= n_bytes_left as f64
+        is_faster && n_triangles as u64 * BYTES_PER_PIECE <= n_bytes_left
+    }
+
+    /// Most pieces of so many triangles, for each of which there is memory.
+    pub(crate) fn most_pieces(n_triangles: usize, n_bytes_left: u64) -> u64 {
+        let n_triangles = n_triangles as u64;
+        (n_triangles + n_triangles / 4).min(n_bytes_left / BYTES_PER_PIECE)
     }
 
     /// Hints that the node of an entry will be read soon. Nothing is checked: a hint may lead anywhere.
@@ -456,8 +461,10 @@ mod tests {
     fn only_scenes_with_memory_to_spare_have_a_hierarchy_over_triangles() {
         let (scan, courtyard) = ((10_000_000, 14_000_000), (8_000_000, 13_000_000));
         let is_over_triangles = |(n, n_references), bytes| Hierarchy::is_over_triangles(n, n_references, bytes);
-        assert!(is_over_triangles((1_000_000, 1_000_000), 150_000_000));
+        assert!(is_over_triangles((1_000_000, 1_000_000), 120_000_000));
         assert!(!is_over_triangles((1_000_000, 1_000_000), 50_000_000));
         assert!(is_over_triangles(courtyard, u64::MAX) && !is_over_triangles(scan, u64::MAX));
+        assert_eq!(Hierarchy::most_pieces(1_000_000, u64::MAX), 1_250_000);
+        assert_eq!(Hierarchy::most_pieces(1_000_000, 120_000_000), 120_000_000 / BYTES_PER_PIECE);
     }
 }

@@ -53,7 +53,7 @@ struct PairLanes<S> {
     interval: [S; 2],
 }
 
-/// What single precision can say, with a bit for each lane; lanes with neither bit miss.
+/// Single precision's answer, with a bit for each lane. Lanes with neither bit miss.
 #[derive(Clone, Copy)]
 struct Verdict {
     hit: u32,

@@ -12,9 +12,6 @@ use super::Bounds;
 /// Most emptiness of a piece, in mean boxes; doubled until pieces are few enough. Half of it costs memory, and time on scans.
 const MOST_EMPTY: f64 = 2.0;
 
-/// Most pieces, divided by the number of triangles.
-pub(super) const MOST_PIECES: f64 = 1.25;
-
 /// Most halvings on the way from a triangle to a piece.
 const MOST_HALVINGS: u32 = 16;
 
@@ -24,9 +21,11 @@ const CUT_MARGIN: f64 = 1e-6;
 /// Triangles whose boxes are added up by one thread, so that sums have the same bits on any machine.
 const TRIANGLES_AT_ONCE: u32 = 1 << 14;
 
-/// The bounds of all triangles, or of their pieces, with their indices. All is in finest cells.
+/// The bounds of all triangles, or of their pieces, with their indices: at most so many, and one for each triangle. All is in
+/// finest cells.
 pub(crate) fn of_triangles(
     n_triangles: u32,
+    most_pieces: u64,
     corners: impl Fn(u32) -> [DVec3; 3] + Copy + Send + Sync,
 ) -> impl ParallelIterator<Item = (u32, Bounds)> {
     let box_area = |triangle: u32| Polygon(corners(triangle).to_vec()).box_area();
@@ -37,9 +36,12 @@ pub(crate) fn of_triangles(
     let sums: Vec<_> = (0..n_triangles.div_ceil(TRIANGLES_AT_ONCE)).into_par_iter().map(sum).collect();
     let mut most_empty = MOST_EMPTY * sums.iter().sum::<f64>() / f64::from(n_triangles);
     let n_pieces = |most_empty: f64| {
-        (0..n_triangles).into_par_iter().map(|triangle| pieces(corners(triangle), most_empty).count()).sum::<usize>()
+        (0..n_triangles)
+            .into_par_iter()
+            .map(|triangle| pieces(corners(triangle), most_empty).count() as u64)
+            .sum::<u64>()
     };
-    while n_pieces(most_empty) as f64 > MOST_PIECES * f64::from(n_triangles) {
+    while n_pieces(most_empty) > most_pieces.max(n_triangles.into()) {
         most_empty *= 2.0;
     }
     (0..n_triangles)
@@ -162,9 +164,11 @@ mod tests {
             [at, at + b, at + c]
         };
         for n in [0, 1, 100, 1000, 50_000] {
-            let pieces: Vec<_> = of_triangles(n, corners).collect();
+            let most_pieces = u64::from(n + n / 4);
+            let pieces: Vec<_> = of_triangles(n, most_pieces, corners).collect();
             assert!(pieces.is_sorted_by_key(|(triangle, _)| *triangle) && pieces.len() >= n as usize);
-            assert!(pieces.len() as f64 <= MOST_PIECES * f64::from(n));
+            assert!(pieces.len() as u64 <= most_pieces);
+            assert_eq!(of_triangles(n, 0, corners).count(), n as usize);
             let n_pieces = |triangle: u32| pieces.iter().filter(|(of, _)| *of == triangle).count();
             assert!((0..n.min(10)).all(|flat| n_pieces(flat) == 1));
             assert!(n < 1000 || n_pieces(10) > 1, "{n}");
