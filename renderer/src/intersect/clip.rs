@@ -78,7 +78,7 @@ pub fn occluded_rays(grid: &Grid, clip: Option<&ClipPlane>, rays: &mut [Ray], oc
     grid.occluded_rays(rays, occluded);
 }
 
-/// [`Grid::intersect_packets`] on the parts of rays that a plane keeps; with `any_hit`, t may be 0.
+/// [`Grid::intersect_packets`] on the parts of rays that a plane keeps: the nearest hits, whatever `any_hit` says.
 pub fn intersect_packets(
     grid: &Grid,
     clip: Option<&ClipPlane>,
@@ -97,7 +97,7 @@ pub fn intersect_packets(
 fn intersect_packet(grid: &Grid, clip: Option<&ClipPlane>, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
     // Clip each ray, and find the hull of their intervals.
     let mut rays = [None; 64];
-    let mut hull = Packet { active: 0, t_min: f32::INFINITY, t_max: f32::NEG_INFINITY, ..*packet };
+    let mut hull = Packet { active: 0, t_min: f32::INFINITY, t_max: f32::NEG_INFINITY, any_hit: false, ..*packet };
     for (lane, ray) in rays.iter_mut().enumerate().filter(|(lane, _)| packet.active >> lane & 1 == 1) {
         *ray = clip_ray(clip, packet.ray(lane));
         if let Some(Ray { t_min, t_max, .. }) = *ray {
@@ -117,17 +117,13 @@ fn intersect_packet(grid: &Grid, clip: Option<&ClipPlane>, packet: &Packet, scra
             continue;
         };
         let is_within = kept.t_min < hit.t && hit.t < kept.t_max;
-        *hit = match packet.any_hit {
-            _ if hit.is_miss() || is_within => *hit,
-            // Rounding is monotonic: a t that lies beyond the end when rounded lies beyond it.
-            false if hit.t > kept.t_max => Hit::MISS,
-            false => grid.intersect(&kept),
-            true if grid.occluded(&kept) => Hit { t: 0.0, ..*hit },
-            true => Hit::MISS,
+        // Rounding is monotonic: a t that lies beyond the end when rounded lies beyond it.
+        let of_kept = match *hit {
+            hit if hit.is_miss() || is_within => hit,
+            hit if hit.t > kept.t_max => Hit::MISS,
+            _ => grid.intersect(&kept),
         };
-        if !packet.any_hit {
-            *hit = or_cap(grid, &packet.ray(lane), &kept, *hit);
-        }
+        *hit = or_cap(grid, &packet.ray(lane), &kept, of_kept);
     }
     hits
 }
@@ -179,14 +175,14 @@ mod tests {
         let mut answers = Vec::new();
         for packet in packets {
             let hits = intersect_packet(grid, clip, packet, &mut scratch);
-            let any = intersect_packet(grid, clip, &Packet { any_hit: true, ..*packet }, &mut scratch);
+            let mut occluded = [false; 64];
+            occluded_rays(grid, clip, &mut std::array::from_fn::<_, 64, _>(|lane| packet.ray(lane)), &mut occluded);
             for lane in 0..64 {
                 let ray = packet.ray(lane);
                 let hit = scene.with_file_index(hits[lane]);
                 assert_eq!(hit, scene.with_file_index(intersect(grid, clip, ray)), "{ray:?} {plane:?}");
-                let mut occluded = [false];
-                occluded_rays(grid, clip, &mut [ray], &mut occluded);
-                assert_eq!(!any[lane].is_miss(), occluded[0], "{ray:?} {plane:?}");
+                let of_single = clip_ray(clip, ray).is_some_and(|kept| !grid.intersect(&kept).is_miss());
+                assert_eq!(occluded[lane], of_single, "{ray:?} {plane:?}");
                 answers.push((ray, hit));
             }
         }

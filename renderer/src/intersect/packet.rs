@@ -153,7 +153,7 @@ impl Grid {
                 continue;
             }
             *hit = match packet.any_hit {
-                true if self.occluded(&ray) => Hit { t: 0.0, ..*hit },
+                true if self.occluded(&ray) => *hit,
                 true => Hit::MISS,
                 // All other hits are as far or farther, in `f64`.
                 false => self.intersect(&Ray { t_min: ray.t_min.max(hit.t.next_down()), ..ray }),

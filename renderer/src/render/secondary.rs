@@ -308,6 +308,8 @@ fn key_light_position(
 
 /// For each of up to [`MOST_PACKETS`] neighbouring blocks, a bit for each ray from `origin` that hits something within
 /// `t_max` in the part of the scene that `clip` keeps.
+///
+/// Rays from a common origin go in packets, unless a plane leaves each an interval of its own.
 pub fn occluded_lanes(
     grid: &Grid,
     clip: Option<&ClipPlane>,
@@ -316,6 +318,9 @@ pub fn occluded_lanes(
     t_max: f32,
     scratch: &mut PacketScratch,
 ) -> [u64; MOST_PACKETS] {
+    if clip.is_some() {
+        return occluded_lanes_of_cut_rays(grid, clip, origin, directions, t_max);
+    }
     let mut packets = Vec::with_capacity(MOST_PACKETS);
     let mut blocks = Vec::with_capacity(MOST_PACKETS);
     for (block, directions) in directions.iter().enumerate() {
@@ -337,10 +342,31 @@ pub fn occluded_lanes(
     if packets.is_empty() {
         return occluded_lanes;
     }
-    clip::intersect_packets(grid, clip, &packets, scratch, &mut hits[..packets.len()]);
+    grid.intersect_packets(&packets, scratch, &mut hits[..packets.len()]);
     for ((block, packet), hits) in blocks.into_iter().zip(&packets).zip(&hits) {
         let hit = (0..64).filter(|&lane| !hits[lane].is_miss()).fold(0, |hit, lane| hit | 1 << lane);
         occluded_lanes[block] = hit & packet.active;
+    }
+    occluded_lanes
+}
+
+fn occluded_lanes_of_cut_rays(
+    grid: &Grid,
+    clip: Option<&ClipPlane>,
+    origin: Vec3,
+    directions: &[[Option<Vec3>; 64]],
+    t_max: f32,
+) -> [u64; MOST_PACKETS] {
+    let ray = |&direction: &Vec3| Ray { origin, direction, t_min: 0.0, t_max };
+    let mut rays: Vec<_> = directions.as_flattened().iter().flatten().map(ray).collect();
+    let mut occluded = vec![false; rays.len()];
+    clip::occluded_rays(grid, clip, &mut rays, &mut occluded);
+    let mut occluded = occluded.into_iter();
+    let mut occluded_lanes = [0; MOST_PACKETS];
+    for (occluded_lanes, directions) in occluded_lanes.iter_mut().zip(directions) {
+        for lane in (0..64).filter(|&lane| directions[lane].is_some()) {
+            *occluded_lanes |= u64::from(occluded.next() == Some(true)) << lane;
+        }
     }
     occluded_lanes
 }

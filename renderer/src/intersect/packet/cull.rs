@@ -130,6 +130,8 @@ pub(super) struct Culler<'a, const N: usize> {
     mesh: &'a TracedMesh,
     pub(super) active: RaySet<N>,
     pub(super) ray_bounds: RayBounds,
+    /// The groups whose slopes `ray_bounds` bounds.
+    bounded_groups: u32,
     /// Side of a finest cell in world units, rounded down.
     cell_length: f32,
     /// Inverse of the farthest limit of all rays without a final answer, per finest cell.
@@ -174,14 +176,8 @@ impl<'a, const N: usize> Culler<'a, N> {
             items,
             mesh,
             active,
-            ray_bounds: RayBounds {
-                origin,
-                axes,
-                sign,
-                slopes: [0.0; 4],
-                max_abs_direction: [1.0; 3],
-                group_half_width: [0.0; 2],
-            },
+            ray_bounds: RayBounds { origin, axes, sign, slopes: [0.0; 4], max_abs_direction: [1.0; 3] },
+            bounded_groups: 0,
             cell_length: (grid.space.length_to_model(1.0) * (1.0 - 1e-6)) as f32,
             least_inverse_limit: 0.0,
             has_new_tests: false,
@@ -230,26 +226,8 @@ impl<'a, const N: usize> Culler<'a, N> {
         // Subnormal slopes may have lost bits.
         culler.ray_bounds.max_abs_direction =
             [1.0, max_abs_slopes[0].reduce_max() + UNDERFLOW_MARGIN, max_abs_slopes[1].reduce_max() + UNDERFLOW_MARGIN];
-        culler.compute_centres::<S>();
         culler.update_slope_bounds::<S>();
         culler
-    }
-
-    /// Computes the centres of the groups' bounds, and the largest distance of a slope from its group's centre.
-    #[inline(always)]
-    fn compute_centres<S: Simd>(&mut self) {
-        let half = S::splat(0.5);
-        let mut half_width = [S::splat(0.0); 2];
-        for first_group in (0..N * (64 / S::LANES)).step_by(S::LANES) {
-            let RayGroups { u, v, centres, .. } = &mut *self.rays.groups;
-            for (axis, bounds) in [u, v].into_iter().enumerate() {
-                let (low, high) = (S::load(&bounds[0][first_group..]), S::load(&bounds[1][first_group..]));
-                low.add(high).mul(half).store(&mut centres[axis][first_group..]);
-                // Negative in groups without rays.
-                half_width[axis] = high.sub(low).mul(half).max(half_width[axis]);
-            }
-        }
-        self.ray_bounds.group_half_width = [half_width[0].reduce_max(), half_width[1].reduce_max()];
     }
 
     /// Recomputes the bounds of the slopes of all groups without a final answer.
@@ -272,6 +250,7 @@ impl<'a, const N: usize> Culler<'a, N> {
             lane_bounds[3].reduce_max(),
         ];
         self.ray_bounds.slopes = widen_slopes(bounds);
+        self.bounded_groups = self.rays.unfinished_groups;
     }
 
     /// The candidates that may pass a cell of a slab and could still have a nearer hit there; all of them where
@@ -434,11 +413,13 @@ impl<'a, const N: usize> Culler<'a, N> {
             S::test_waiting(self);
         }
 
-        // A group is settled when the depth lies beyond the limits of all its rays; behind the origin none is.
-        let inverse_reached = S::splat(if depth < 0.0 { f32::NAN } else { ((1.0 + 1e-6) / depth) as f32 });
+        // A group is settled when the depth lies beyond the limits of all its rays; behind the origin, when none has an
+        // interval left.
+        let inverse_reached = S::splat(if depth < 0.0 { f32::INFINITY } else { ((1.0 + 1e-6) / depth) as f32 });
         let mut least_inverse_limit = f32::INFINITY;
-        let unfinished_groups = self.rays.unfinished_groups;
-        let mut groups = unfinished_groups;
+        let any_hit = self.rays.nearest.packets[0].any_hit;
+        let mut is_narrower = false;
+        let mut groups = self.rays.unfinished_groups;
         while groups != 0 {
             let group = groups.trailing_zeros() as usize;
             groups &= groups - 1;
@@ -450,12 +431,17 @@ impl<'a, const N: usize> Culler<'a, N> {
             } else {
                 self.rays.groups.inverse_limits[group] = inverse_limits.reduce_min();
                 least_inverse_limit = least_inverse_limit.min(inverse_limits.reduce_min());
+                if any_hit && S::splat(f32::INFINITY).le(inverse_limits) != 0 {
+                    self.rays.narrow_group::<S>(group);
+                    is_narrower = true;
+                }
             }
         }
 
         // Narrow the bounds to the groups that remain.
         self.least_inverse_limit = least_inverse_limit * self.cell_length;
-        if self.rays.unfinished_groups != unfinished_groups && self.rays.unfinished_groups != 0 {
+        is_narrower |= self.rays.unfinished_groups != self.bounded_groups;
+        if is_narrower && self.rays.unfinished_groups != 0 {
             self.update_slope_bounds::<S>();
         }
         self.rays.unfinished_groups == 0

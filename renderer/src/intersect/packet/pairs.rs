@@ -16,8 +16,6 @@ pub(super) struct RayGroups {
     /// Least and largest slopes.
     pub(super) u: [[f32; MOST_GROUPS]; 2],
     pub(super) v: [[f32; MOST_GROUPS]; 2],
-    /// Centres of these bounds, of u and of v.
-    pub(super) centres: [[f32; MOST_GROUPS]; 2],
     /// The inverse of the farthest limit of a group's rays.
     pub(super) inverse_limits: [f32; MOST_GROUPS],
 }
@@ -27,7 +25,6 @@ impl RayGroups {
     pub(super) const NONE: Self = Self {
         u: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
         v: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
-        centres: [[0.0; MOST_GROUPS]; 2],
         inverse_limits: [f32::INFINITY; MOST_GROUPS],
     };
 }
@@ -102,22 +99,54 @@ impl<const N: usize> PacketRays<'_, N> {
         for index in 0..n_pairs {
             self.record_pair::<S>(prepared, self.pairs[index]);
         }
+
+        // Where any hit will do, groups whose rays all have one need no further triangle.
+        if self.nearest.packets[0].any_hit {
+            for index in 0..n_pairs {
+                self.finish_group::<S>(self.pairs[index]);
+            }
+        }
     }
 
     /// A bit for each prepared triangle that rays of a group may hit.
     #[inline(always)]
     fn group_may_hit<S: Simd>(&self, prepared: &PreparedTriangles, group: usize) -> u32 {
-        let RayGroups { u, v, centres, inverse_limits } = &*self.groups;
-        let (u_centre, v_centre) = (S::splat(centres[0][group]), S::splat(centres[1][group]));
+        let RayGroups { u, v, inverse_limits } = &*self.groups;
+        let (u_low, u_high) = (S::splat(u[0][group]), S::splat(u[1][group]));
+        let (v_low, v_high) = (S::splat(v[0][group]), S::splat(v[1][group]));
         // Bound the sides of the edges too: a large triangle may pass diagonally beside the group.
-        let mut sides = [u_centre; 3];
+        let mut sides = [u_low; 3];
         for edge in 0..3 {
-            let along_v = S::load(&prepared.sides[edge][2]).mul_add(v_centre, S::load(&prepared.group_sides[edge]));
-            sides[edge] = S::load(&prepared.sides[edge][1]).mul_add(u_centre, along_v);
+            let (along_u, along_v) = (S::load(&prepared.sides[edge][1]), S::load(&prepared.sides[edge][2]));
+            let greatest = S::load(&prepared.greatest_sides[edge]);
+            let of_u = along_u.mul(u_low).max(along_u.mul(u_high));
+            sides[edge] = along_v.mul_add(v_low, greatest).max(along_v.mul_add(v_high, greatest)).add(of_u);
         }
         overlaps_slopes::<S>(prepared, [u[0][group], u[1][group]], [v[0][group], v[1][group]])
             & S::splat(inverse_limits[group]).le(S::load(&prepared.inverse_depth))
             & !sides[0].min(sides[1]).min(sides[2]).lt(S::splat(0.0))
+    }
+
+    /// Marks a pair's group as finished if none of its rays has an interval left.
+    #[inline(always)]
+    fn finish_group<S: Simd>(&mut self, pair: Pair) {
+        let (packet, first) = (usize::from(pair.packet), usize::from(pair.first));
+        let limits = S::load(&self.nearest.hits.inverse_limits[packet % N][first % 64..]);
+        let is_finished = limits.lt(S::splat(f32::INFINITY)) == 0;
+        self.unfinished_groups &= !(u32::from(is_finished) << ((64 * packet + first) / S::LANES % MOST_GROUPS));
+    }
+
+    /// Bounds the slopes of a group's rays again, without rays that have no interval left.
+    #[inline(always)]
+    pub(super) fn narrow_group<S: Simd>(&mut self, group: usize) {
+        let (packet, first) = (group * S::LANES / 64 % N, group * S::LANES % 64);
+        let left = S::load(&self.nearest.hits.inverse_limits[packet][first..]).lt(S::splat(f32::INFINITY));
+        let RayGroups { u, v, .. } = &mut *self.groups;
+        for (bounds, slopes) in [(u, &*self.u), (v, &*self.v)] {
+            let slopes = S::load(&slopes[packet][first..]);
+            bounds[0][group] = S::select(left, slopes, S::splat(f32::INFINITY)).reduce_min();
+            bounds[1][group] = S::select(left, slopes, S::splat(f32::NEG_INFINITY)).reduce_max();
+        }
     }
 
     /// Tests a prepared triangle against a packet's group of rays from lane `first` on.

@@ -17,8 +17,6 @@ pub(super) struct RayBounds {
     pub(super) slopes: [f32; 4],
     /// Largest absolute components of all directions along `axes`, the directions scaled to 1 along the major axis.
     pub(super) max_abs_direction: [f32; 3],
-    /// Largest distance of a slope u, v from the centre of its group's bounds.
-    pub(super) group_half_width: [f32; 2],
 }
 
 /// Triangles prepared for the rays, one per lane.
@@ -31,8 +29,8 @@ pub(super) struct PreparedTriangles {
     pub(super) sides: [[[f32; 16]; 3]; 3],
     /// Rounding error of these products.
     pub(super) side_margin: [f32; 16],
-    /// Upper bound of the products with the rays of a group, less the terms of the group's centre.
-    pub(super) group_sides: [[f32; 16]; 3],
+    /// Upper bound of the products with a ray, less the terms of its slopes.
+    pub(super) greatest_sides: [[f32; 16]; 3],
     /// The normal of the triangle's plane, divided by its offset from the origin: the dot product with a direction of
     /// length 1 along the major axis is the inverse depth of the hit.
     pub(super) plane: [[f32; 16]; 3],
@@ -153,18 +151,14 @@ impl PreparedTriangles {
         let orientation = S::select(zero.lt(offset), one, zero.sub(one));
         let is_oriented = offset_margin.lt(offset.abs());
 
-        // Bound the products of a group's rays; without a certain orientation the bound is infinite.
+        // Bound the products from above; without a certain orientation the bound is infinite.
         let group_margin = S::select(is_oriented, side_margin.mul(S::splat(4.0)), S::splat(f32::INFINITY));
-        let (u_half_width, v_half_width) =
-            (S::splat(ray_bounds.group_half_width[0]), S::splat(ray_bounds.group_half_width[1]));
         for edge in 0..3 {
             let along_k = sides[edge][0].mul(sign).mul(orientation);
-            let (along_u, along_v) = (sides[edge][1].mul(orientation), sides[edge][2].mul(orientation));
-            let group_margin = along_v.abs().mul_add(v_half_width, along_k.add(group_margin));
-            along_u.abs().mul_add(u_half_width, group_margin).store(&mut self.group_sides[edge]);
+            along_k.add(group_margin).store(&mut self.greatest_sides[edge]);
             along_k.store(&mut self.sides[edge][0]);
-            along_u.store(&mut self.sides[edge][1]);
-            along_v.store(&mut self.sides[edge][2]);
+            sides[edge][1].mul(orientation).store(&mut self.sides[edge][1]);
+            sides[edge][2].mul(orientation).store(&mut self.sides[edge][2]);
         }
         left
     }

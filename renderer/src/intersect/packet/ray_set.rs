@@ -20,7 +20,7 @@ pub struct Packet {
     pub t_min: f32,
     /// End of all rays' interval.
     pub t_max: f32,
-    /// Whether any hit of a ray will do in place of the nearest, as for shadows.
+    /// Whether any hit of a ray will do in place of the nearest, as for shadows; its t means nothing.
     pub any_hit: bool,
 }
 
