@@ -3,10 +3,10 @@
 use glam::Vec3;
 use renderer::{
     intersect::{
-        MOST_PACKETS, PacketScratch,
+        MOST_PACKETS, Packet, PacketScratch,
         ray::{Hit, Ray},
     },
-    render::{blocks::SampleBlock, scene::Scene, secondary},
+    render::{blocks::SampleBlock, scene::Scene, secondary, tracer::set_camera_rays},
 };
 use shared::camera::CameraRays;
 
@@ -34,20 +34,9 @@ impl ShadowCaster<'_> {
         scratch: &mut PacketScratch,
     ) -> (usize, usize) {
         let mut directions = [[None; 64]; MOST_PACKETS];
-        let mut n_dark = 0;
+        let mut n_hits = 0;
         for (index, tile) in tiles.iter().enumerate() {
-            // Lanes beyond the samples repeat the last sample.
-            for (direction, &sample_idx) in
-                directions[index].iter_mut().zip(&tile.sample_of_lane()).take(tile.n_samples())
-            {
-                let hit = hits[index][sample_idx];
-                if hit.is_miss() {
-                    continue;
-                }
-                let (i, j) = tile.sample(sample_idx);
-                *direction = self.ray_to(self.rays.direction(i, j), hit);
-                n_dark += usize::from(direction.is_none());
-            }
+            n_hits += self.directions(tile, &hits[index], &mut directions[index]);
         }
         let directions = &directions[..tiles.len()];
         let rays = directions.as_flattened().iter().flatten();
@@ -62,16 +51,59 @@ impl ShadowCaster<'_> {
                 .filter(|&&direction| grid.occluded(&Ray { t_max: T_MAX, ..Ray::new(self.light, direction) }))
                 .count(),
         };
-        (rays.count(), n_dark + n_hidden)
+        let n_rays = rays.count();
+        (n_rays, n_hits - n_rays + n_hidden)
     }
 
-    /// The direction from the light to a hit; `None` if the surface faces away.
-    fn ray_to(&self, direction: Vec3, hit: Hit) -> Option<Vec3> {
-        let from_light = self.rays.eye + direction * hit.t - self.light;
+    /// Finds the directions from the light to the hits of a tile that face it, by lane; leaves the others `None`. Returns
+    /// the number of hits.
+    fn directions(&self, tile: &SampleBlock<'_>, hits: &[Hit; 64], directions: &mut [Option<Vec3>; 64]) -> usize {
+        if hits.iter().all(|hit| hit.is_miss()) {
+            return 0;
+        }
+        // Collect what is known of each hit. Neighbours often hit one triangle.
+        let mut packet = Packet::NONE;
+        set_camera_rays(&mut packet, self.rays, tile, 0);
+        let (mut normals, mut t) = ([[0.0; 64]; 3], [0.0; 64]);
+        let (mut triangle, mut normal) = (Hit::MISS.triangle, Vec3::ZERO);
+        let mut n_hits = 0;
+        for (lane, &sample_idx) in tile.sample_of_lane().iter().enumerate().take(tile.n_samples()) {
+            let hit = hits[sample_idx];
+            if hit.triangle != triangle {
+                (triangle, normal) = (hit.triangle, self.normal(hit));
+            }
+            (t[lane], normals[0][lane], normals[1][lane], normals[2][lane]) = (hit.t, normal.x, normal.y, normal.z);
+            n_hits += usize::from(!hit.is_miss());
+        }
+
+        // Find the way from the light, and which side of the surface it shines on: loops over arrays, which the compiler
+        // turns into vector instructions.
+        let (mut from_light, mut along_eye, mut along_light) = ([[0.0; 64]; 3], [0.0; 64], [0.0; 64]);
+        for axis in 0..3 {
+            let (eye, light) = (self.rays.eye[axis], self.light[axis]);
+            for lane in 0..64 {
+                let along = packet.directions[axis][lane];
+                from_light[axis][lane] = eye + along * t[lane] - light;
+                along_eye[lane] += normals[axis][lane] * along;
+                along_light[lane] += normals[axis][lane] * from_light[axis][lane];
+            }
+        }
+        let mut is_lit = [false; 64];
+        for lane in 0..64 {
+            is_lit[lane] = along_light[lane].abs() > 0.0 && (along_eye[lane] < 0.0) == (along_light[lane] < 0.0);
+        }
+        for lane in (0..64).filter(|&lane| is_lit[lane]) {
+            directions[lane] = Some(Vec3::new(from_light[0][lane], from_light[1][lane], from_light[2][lane]));
+        }
+        n_hits
+    }
+
+    /// A vector across the triangle that is hit; zero for a miss.
+    fn normal(&self, hit: Hit) -> Vec3 {
+        if hit.is_miss() {
+            return Vec3::ZERO;
+        }
         let [a, b, c] = self.scene.mesh().corners(hit.triangle).map(Vec3::from_array);
-        let normal = (b - a).cross(c - a);
-        let faces_eye = normal.dot(direction) < 0.0;
-        let cosine = -normal.dot(from_light);
-        (if faces_eye { cosine > 0.0 } else { cosine < 0.0 }).then_some(from_light)
+        (b - a).cross(c - a)
     }
 }
