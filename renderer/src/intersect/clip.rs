@@ -1,7 +1,6 @@
 //! Rays in a scene that a plane cuts open.
 //!
-//! A packet takes the hull of its rays' intervals. A hit inside a ray's own interval is its answer: the nearest of the
-//! larger interval is the nearest of the smaller one. Rays with other hits are traced again, alone.
+//! The plane cuts each ray's interval, also in packets.
 //!
 //! A ray that enters the kept half and then leaves a solid entered it within the solid: its hit is the cap, in the plane.
 //! Rays that only ask for any hit need no cap, because the side on which they leave the solid hides as much.
@@ -22,6 +21,7 @@ use crate::{
 ///
 /// The crossing is computed in `f64` and rounded once, to the next number beyond the plane, so triangles in the plane
 /// are kept. A ray has the same bits alone and in any packet.
+#[inline]
 pub fn clip_ray(clip: Option<&ClipPlane>, ray: Ray) -> Option<Ray> {
     let Some(ClipPlane { normal, offset }) = clip else { return Some(ray) };
     let distance = offset - normal.dot(ray.origin.as_dvec3());
@@ -66,7 +66,7 @@ pub fn intersect_rays(grid: &Grid, clip: Option<&ClipPlane>, rays: &[Ray], hits:
 }
 
 /// A ray of which nothing is left.
-const NOTHING: Ray = Ray { origin: Vec3::ZERO, direction: Vec3::X, t_min: 0.0, t_max: f32::NEG_INFINITY };
+pub(super) const NOTHING: Ray = Ray { origin: Vec3::ZERO, direction: Vec3::X, t_min: 0.0, t_max: f32::NEG_INFINITY };
 
 /// [`Grid::occluded_rays`] on the parts of rays that a plane keeps; the rays are cut.
 pub fn occluded_rays(grid: &Grid, clip: Option<&ClipPlane>, rays: &mut [Ray], occluded: &mut [bool]) {
@@ -78,54 +78,17 @@ pub fn occluded_rays(grid: &Grid, clip: Option<&ClipPlane>, rays: &mut [Ray], oc
     grid.occluded_rays(rays, occluded);
 }
 
-/// [`Grid::intersect_packets`] on the parts of rays that a plane keeps: the nearest hits, whatever `any_hit` says.
-pub fn intersect_packets(
-    grid: &Grid,
-    clip: Option<&ClipPlane>,
-    packets: &[Packet],
-    scratch: &mut PacketScratch,
-    hits: &mut [[Hit; 64]],
-) {
-    if clip.is_none() {
-        return grid.intersect_packets(packets, scratch, hits);
+/// [`Grid::intersect_packets`] with the caps of cuts.
+pub fn intersect_packets(grid: &Grid, packets: &[Packet], scratch: &mut PacketScratch, hits: &mut [[Hit; 64]]) {
+    grid.intersect_packets(packets, scratch, hits);
+    if grid.mesh().facing().is_none() {
+        return;
     }
-    for (packet, hits) in packets.iter().zip(hits) {
-        *hits = intersect_packet(grid, clip, packet, scratch);
-    }
-}
-
-fn intersect_packet(grid: &Grid, clip: Option<&ClipPlane>, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
-    // Clip each ray, and find the hull of their intervals.
-    let mut rays = [None; 64];
-    let mut hull = Packet { active: 0, t_min: f32::INFINITY, t_max: f32::NEG_INFINITY, any_hit: false, ..*packet };
-    for (lane, ray) in rays.iter_mut().enumerate().filter(|(lane, _)| packet.active >> lane & 1 == 1) {
-        *ray = clip_ray(clip, packet.ray(lane));
-        if let Some(Ray { t_min, t_max, .. }) = *ray {
-            hull.active |= 1 << lane;
-            (hull.t_min, hull.t_max) = (hull.t_min.min(t_min), hull.t_max.max(t_max));
+    for (packet, hits) in packets.iter().zip(hits).filter(|(packet, _)| packet.clip.is_some()) {
+        for (lane, hit) in hits.iter_mut().enumerate().filter(|(_, hit)| !hit.is_miss()) {
+            *hit = or_cap(grid, &packet.whole_ray(lane), &packet.ray(lane), *hit);
         }
     }
-    if hull.active == 0 {
-        return [Hit::MISS; 64];
-    }
-
-    // Trace the hull; trace rays again whose hit may lie outside their own interval.
-    let mut hits = grid.intersect_packet(&hull, scratch);
-    for (lane, (hit, kept)) in hits.iter_mut().zip(rays).enumerate() {
-        let Some(kept) = kept else {
-            *hit = Hit::MISS;
-            continue;
-        };
-        let is_within = kept.t_min < hit.t && hit.t < kept.t_max;
-        // Rounding is monotonic: a t that lies beyond the end when rounded lies beyond it.
-        let of_kept = match *hit {
-            hit if hit.is_miss() || is_within => hit,
-            hit if hit.t > kept.t_max => Hit::MISS,
-            _ => grid.intersect(&kept),
-        };
-        *hit = or_cap(grid, &packet.ray(lane), &kept, of_kept);
-    }
-    hits
 }
 
 #[cfg(test)]
@@ -164,7 +127,7 @@ mod tests {
                 let direction = rays.direction(8 * column + lane % 8, 8 * row + lane / 8);
                 (0..3).for_each(|axis| directions[axis][lane as usize] = direction[axis]);
             }
-            Packet { origin: rays.eye, directions, active: u64::MAX, t_min: 0.0, t_max: f32::MAX, any_hit: false }
+            Packet { origin: rays.eye, directions, active: u64::MAX, ..Packet::NONE }
         };
         tiles.map(packet).collect()
     }
@@ -174,15 +137,26 @@ mod tests {
         let (grid, clip, mut scratch) = (&scene.grid, Some(plane), PacketScratch::default());
         let mut answers = Vec::new();
         for packet in packets {
-            let hits = intersect_packet(grid, clip, packet, &mut scratch);
+            let packet = Packet { clip: Some(*plane), ..*packet };
+            let for_any_hit = Packet { any_hit: true, ..packet };
+            let mut hits = [[Hit::MISS; 64]];
+            intersect_packets(grid, std::slice::from_ref(&packet), &mut scratch, &mut hits);
+            let [hits] = hits;
+            let any = grid.intersect_packet(&for_any_hit, &mut scratch);
             let mut occluded = [false; 64];
-            occluded_rays(grid, clip, &mut std::array::from_fn::<_, 64, _>(|lane| packet.ray(lane)), &mut occluded);
+            occluded_rays(
+                grid,
+                clip,
+                &mut std::array::from_fn::<_, 64, _>(|lane| packet.whole_ray(lane)),
+                &mut occluded,
+            );
             for lane in 0..64 {
-                let ray = packet.ray(lane);
+                let ray = packet.whole_ray(lane);
                 let hit = scene.with_file_index(hits[lane]);
                 assert_eq!(hit, scene.with_file_index(intersect(grid, clip, ray)), "{ray:?} {plane:?}");
                 let of_single = clip_ray(clip, ray).is_some_and(|kept| !grid.intersect(&kept).is_miss());
                 assert_eq!(occluded[lane], of_single, "{ray:?} {plane:?}");
+                assert_eq!(!any[lane].is_miss(), of_single, "{ray:?} {plane:?}");
                 answers.push((ray, hit));
             }
         }

@@ -168,7 +168,7 @@ impl Grid {
         &self,
         tree: &Tree,
         packets: [&Packet; N],
-        active: RaySet<N>,
+        mut active: RaySet<N>,
         scratch: &mut Scratch<N>,
         hits: &mut [[Hit; 64]; N],
     ) -> bool {
@@ -200,11 +200,13 @@ impl Grid {
             return true;
         }
 
-        // Set up the rays' groups, then find the first slab of bricks that the frustum enters.
+        // Set up the rays' groups, then find the first slab of bricks that rays enter within their intervals.
+        let least_start = f64::from(cull.hits.set_intervals(&packets, &mut active, axis));
+        let start_depth = (least_start * (1.0 - 1e-6) * self.space.cells_per_unit - frustum.margin).max(0.0);
         let mut culler =
             Culler::new::<S>(self, &tree.items, packets, active, axes, if is_forward { 1.0 } else { -1.0 }, cull);
         frustum.slopes = culler.ray_bounds.slopes;
-        let entry_depth = frustum.entry_depth();
+        let entry_depth = frustum.entry_depth().max(start_depth);
         let entry_k = entry_depth - frustum.margin;
         let k = frustum.origin[0] + if is_forward { entry_k } else { -entry_k };
         let mut brick_k = (k / f64::from(BRICK_SIZE)).floor() as i32;
@@ -267,7 +269,7 @@ impl Grid {
                 let shift = 2 * (LEVELS - level as u32);
                 let low = lows[level] + (quarter << shift);
                 let (near, far) = frustum.depths(low, 1 << shift);
-                if far < 0.0 {
+                if far < start_depth {
                     continue;
                 }
                 let Some(bounds) = frustum.cells(near, far) else { continue };

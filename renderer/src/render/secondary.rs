@@ -308,8 +308,6 @@ fn key_light_position(
 
 /// For each of up to [`MOST_PACKETS`] neighbouring blocks, a bit for each ray from `origin` that hits something within
 /// `t_max` in the part of the scene that `clip` keeps.
-///
-/// Rays from a common origin go in packets, unless a plane leaves each an interval of its own.
 pub fn occluded_lanes(
     grid: &Grid,
     clip: Option<&ClipPlane>,
@@ -318,14 +316,11 @@ pub fn occluded_lanes(
     t_max: f32,
     scratch: &mut PacketScratch,
 ) -> [u64; MOST_PACKETS] {
-    if clip.is_some() {
-        return occluded_lanes_of_cut_rays(grid, clip, origin, directions, t_max);
-    }
     let mut packets = Vec::with_capacity(MOST_PACKETS);
     let mut blocks = Vec::with_capacity(MOST_PACKETS);
     for (block, directions) in directions.iter().enumerate() {
         let Some(mut next) = directions.iter().rev().find_map(|direction| *direction) else { continue };
-        let mut packet = Packet { origin, directions: [[0.0; 64]; 3], active: 0, t_min: 0.0, t_max, any_hit: true };
+        let mut packet = Packet { origin, t_max, clip: clip.copied(), any_hit: true, ..Packet::NONE };
         for (lane, direction) in directions.iter().enumerate().rev() {
             // Inactive lanes repeat the next ray, to keep the packet coherent.
             next = direction.unwrap_or(next);
@@ -346,27 +341,6 @@ pub fn occluded_lanes(
     for ((block, packet), hits) in blocks.into_iter().zip(&packets).zip(&hits) {
         let hit = (0..64).filter(|&lane| !hits[lane].is_miss()).fold(0, |hit, lane| hit | 1 << lane);
         occluded_lanes[block] = hit & packet.active;
-    }
-    occluded_lanes
-}
-
-fn occluded_lanes_of_cut_rays(
-    grid: &Grid,
-    clip: Option<&ClipPlane>,
-    origin: Vec3,
-    directions: &[[Option<Vec3>; 64]],
-    t_max: f32,
-) -> [u64; MOST_PACKETS] {
-    let ray = |&direction: &Vec3| Ray { origin, direction, t_min: 0.0, t_max };
-    let mut rays: Vec<_> = directions.as_flattened().iter().flatten().map(ray).collect();
-    let mut occluded = vec![false; rays.len()];
-    clip::occluded_rays(grid, clip, &mut rays, &mut occluded);
-    let mut occluded = occluded.into_iter();
-    let mut occluded_lanes = [0; MOST_PACKETS];
-    for (occluded_lanes, directions) in occluded_lanes.iter_mut().zip(directions) {
-        for lane in (0..64).filter(|&lane| directions[lane].is_some()) {
-            *occluded_lanes |= u64::from(occluded.next() == Some(true)) << lane;
-        }
     }
     occluded_lanes
 }

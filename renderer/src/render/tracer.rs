@@ -8,7 +8,6 @@ use std::{
 
 use glam::Vec3;
 use shared::{
-    appearance::ClipPlane,
     camera::CameraRays,
     division::{Division, Share},
     protocol::FrameSpec,
@@ -124,11 +123,10 @@ impl Scene {
         &self,
         blocks: &[SampleBlock<'_>],
         packets: &[Packet],
-        clip: Option<&ClipPlane>,
         scratch: &mut PacketScratch,
         hits: &mut [[Hit; 64]],
     ) {
-        clip::intersect_packets(&self.grid, clip, packets, scratch, hits);
+        clip::intersect_packets(&self.grid, packets, scratch, hits);
         for (block, hits) in blocks.iter().zip(hits) {
             if block.tile().is_some() {
                 lanes_to_rows(hits);
@@ -143,7 +141,6 @@ pub(super) struct Sampler<'a> {
     /// Whether nobody wants the samples any more.
     unwanted: &'a AtomicBool,
     rays: CameraRays,
-    clip: Option<ClipPlane>,
     first_sample: u32,
     pub(super) lighting: Lighting<'a>,
     scratch: PacketScratch,
@@ -162,11 +159,10 @@ impl<'a> Sampler<'a> {
             scene,
             unwanted,
             rays: spec.camera.rays(spec.size),
-            clip,
             first_sample: spec.samples.first,
             lighting: Lighting::new(scene, spec, clip),
             scratch: PacketScratch::default(),
-            packets: [Packet::NONE; MOST_PACKETS],
+            packets: std::array::from_fn(|_| Packet { clip, ..Packet::NONE }),
             hits: Vec::new(),
             directions: Vec::new(),
             lights: Vec::new(),
@@ -194,7 +190,7 @@ impl<'a> Sampler<'a> {
     /// Traces the camera's rays of samples of the pixels of neighbouring blocks. Samples that share a ray have the hit of their
     /// first.
     fn trace(&mut self, blocks: &[SampleBlock<'_>], samples: Range<u32>, pixels: &[PixelPaths]) {
-        let Self { scene, rays, clip, first_sample, scratch, hits, directions, .. } = self;
+        let Self { scene, rays, first_sample, scratch, hits, directions, .. } = self;
         if hits.len() < samples.len() {
             hits.resize(samples.len(), [[Hit::MISS; 64]; MOST_PACKETS]);
             directions.resize(samples.len(), [[Vec3::ZERO; 64]; MOST_PACKETS]);
@@ -210,7 +206,7 @@ impl<'a> Sampler<'a> {
                 }
             }
             let (before, hits) = hits.split_at_mut(row);
-            scene.trace_group(blocks, packets, clip.as_ref(), scratch, &mut hits[0][..blocks.len()]);
+            scene.trace_group(blocks, packets, scratch, &mut hits[0][..blocks.len()]);
             for (index, (block, packet)) in blocks.iter().zip(&*packets).enumerate() {
                 let [x, y, z] = &packet.directions;
                 for (lane, &sample_idx) in block.sample_of_lane().iter().enumerate() {

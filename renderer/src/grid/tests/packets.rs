@@ -73,8 +73,8 @@ fn check_hits(grid: &Grid, packet: &Packet, hits: &[Hit; 64], expected: &[Hit; 6
     for lane in (0..64).filter(|lane| packet.active >> lane & 1 == 1) {
         let (hit, expected) = (hits[lane], expected[lane]);
         let same = hit.triangle == expected.triangle && hit.t.to_bits() == expected.t.to_bits();
-        let (instructions, origin, storage) = (grid.instructions, packet.origin, grid.figures().storage);
-        assert!(same, "{storage}, {instructions:?}: ray {lane} from {origin} hits {hit:?} instead of {expected:?}");
+        let (instructions, ray, storage) = (grid.instructions, packet.ray(lane), grid.figures().storage);
+        assert!(same, "{storage}, {instructions:?}: {lane}, {ray:?} hits {hit:?} instead of {expected:?}");
     }
 }
 
@@ -95,7 +95,7 @@ pub(crate) fn raster(origin: Vec3, target: Vec3, spacing: f32, active: u64) -> P
         let direction = forward + right * (lane % 8) as f32 + up * (lane / 8) as f32;
         (0..3).for_each(|axis| directions[axis][lane] = direction[axis]);
     }
-    Packet { origin, directions, active, t_min: 0.0, t_max: f32::MAX, any_hit: false }
+    Packet { origin, directions, active, ..Packet::NONE }
 }
 
 /// The packet of this raster, and those beside, above, and diagonal to it.

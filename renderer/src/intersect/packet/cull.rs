@@ -46,7 +46,7 @@ pub(super) struct CullScratch<const N: usize> {
     u: [[f32; 64]; N],
     v: [[f32; 64]; N],
     groups: RayGroups,
-    hits: HitScratch<N>,
+    pub(super) hits: HitScratch<N>,
     /// Triangles that wait for their test, or items of a tree, and room for one more vector.
     waiting: [u32; N_WAITING + 16],
     /// Their vertices, by corner.
@@ -185,19 +185,12 @@ impl<'a, const N: usize> Culler<'a, N> {
 
         // Find the limits of all rays, and the bounds of each group and each packet.
         let mut max_abs_slopes = [S::splat(0.0); 2];
-        for (index, packet) in packets.iter().enumerate() {
-            // No subnormal numbers, which are slow, and no infinity: a limit may be too far, not too near.
-            let inverse_t_max = if packet.t_max > 1e30 { 0.0 } else { ((1.0 - 1e-6) / packet.t_max).min(f32::MAX) };
+        for index in 0..N {
             for group_of_packet in 0..64 / S::LANES {
                 let lane = group_of_packet * S::LANES;
                 let group = index * (64 / S::LANES) + group_of_packet;
                 let (u, v) = (S::load(&culler.rays.u[index][lane..]), S::load(&culler.rays.v[index][lane..]));
-                let inverse_depth = S::load(&culler.rays.nearest.hits.inverse_limits[index][lane..]);
-
-                // The limit of a ray is the depth of its t_max.
-                let inverse_limits = inverse_depth.mul(S::splat(inverse_t_max)).sub(S::splat(UNDERFLOW_MARGIN));
-                let inverse_limits = inverse_limits.max(S::splat(0.0));
-                inverse_limits.store(&mut culler.rays.nearest.hits.inverse_limits[index][lane..]);
+                let inverse_limits = culler.rays.nearest.hits.set_limits::<S>(index, lane);
 
                 // Reduce the slopes to the group's bounds, and those to the packet's.
                 let [u_low, u_high, v_low, v_high] = [u.reduce_min(), u.reduce_max(), v.reduce_min(), v.reduce_max()];
@@ -413,9 +406,10 @@ impl<'a, const N: usize> Culler<'a, N> {
             S::test_waiting(self);
         }
 
-        // A group is settled when the depth lies beyond the limits of all its rays; behind the origin, when none has an
-        // interval left.
-        let inverse_reached = S::splat(if depth < 0.0 { f32::INFINITY } else { ((1.0 + 1e-6) / depth) as f32 });
+        // A group is settled when the depth lies beyond the limits of all its rays; behind the origin none is. Where any hit will
+        // do, it is settled when none of its rays has an interval left.
+        let inverse_reached = S::splat(if depth < 0.0 { f32::NAN } else { ((1.0 + 1e-6) / depth) as f32 });
+        let all = ((1u64 << S::LANES) - 1) as u32;
         let mut least_inverse_limit = f32::INFINITY;
         let any_hit = self.rays.nearest.packets[0].any_hit;
         let mut is_narrower = false;
@@ -425,13 +419,13 @@ impl<'a, const N: usize> Culler<'a, N> {
             groups &= groups - 1;
             let first = group * S::LANES;
             let inverse_limits = S::load(&self.rays.nearest.hits.inverse_limits[first / 64 % N][first % 64..]);
-            let all = ((1u64 << S::LANES) - 1) as u32;
-            if inverse_reached.le(inverse_limits) == all {
+            let left = if any_hit { inverse_limits.lt(S::splat(f32::INFINITY)) } else { all };
+            if inverse_reached.le(inverse_limits) == all || left == 0 {
                 self.rays.unfinished_groups &= !(1 << group);
             } else {
                 self.rays.groups.inverse_limits[group] = inverse_limits.reduce_min();
                 least_inverse_limit = least_inverse_limit.min(inverse_limits.reduce_min());
-                if any_hit && S::splat(f32::INFINITY).le(inverse_limits) != 0 {
+                if left != all {
                     self.rays.narrow_group::<S>(group);
                     is_narrower = true;
                 }

@@ -8,8 +8,9 @@
 use crate::{
     grid::traced::TracedMesh,
     intersect::{
-        packet::ray_set::Packet,
-        ray::Hit,
+        margins::UNDERFLOW_MARGIN,
+        packet::ray_set::{Packet, RaySet},
+        ray::{Hit, Ray},
         triangle::{self, EdgePlanes, Plane, Vector, widen_corners},
     },
     simd::{Real, Simd},
@@ -18,6 +19,10 @@ use crate::{
 /// Memory of [`NearestHits`]: the state of each ray of each packet.
 #[repr(C, align(64))]
 pub(super) struct HitScratch<const N: usize> {
+    intervals: [Intervals; N],
+    /// A hit at inverse depths between these is certainly within the interval.
+    inverse_starts: [[f32; 64]; N],
+    inverse_ends: [[f32; 64]; N],
     /// Inverse of the limit: no triangle at a greater depth along the major axis can be the nearest. Per world unit.
     pub(super) inverse_limits: [[f32; 64]; N],
     /// The nearest of the triangles that single precision proves to be hit: the estimate.
@@ -32,6 +37,9 @@ pub(super) struct HitScratch<const N: usize> {
 impl<const N: usize> Default for HitScratch<N> {
     fn default() -> Self {
         Self {
+            intervals: [Intervals::NONE; N],
+            inverse_starts: [[0.0; 64]; N],
+            inverse_ends: [[0.0; 64]; N],
             inverse_limits: [[0.0; 64]; N],
             estimated: [[Hit::MISS.triangle; 64]; N],
             estimated_inverse_depths: [[0.0; 64]; N],
@@ -40,6 +48,115 @@ impl<const N: usize> Default for HitScratch<N> {
         }
     }
 }
+
+impl<const N: usize> HitScratch<N> {
+    /// Sets the rays' intervals, and makes rays inactive of which a plane keeps nothing. Returns the least depth along an axis
+    /// at which one starts, in model space.
+    #[inline(always)]
+    pub(super) fn set_intervals(&mut self, packets: &[&Packet; N], active: &mut RaySet<N>, axis: usize) -> f32 {
+        let mut least_start = f32::INFINITY;
+        for (index, packet) in packets.iter().enumerate() {
+            if packet.clip.is_some() {
+                let (empty, start) = self.intervals[index].cut(packet, axis);
+                active.masks[index] &= !empty;
+                least_start = least_start.min(start);
+            } else {
+                self.intervals[index].set([packet.t_min, packet.t_max]);
+                least_start = 0.0;
+            }
+        }
+        least_start
+    }
+
+    /// Sets the limits of a packet's rays from lane `first` on to the ends of their intervals; returns their inverses. In their
+    /// place are the inverse depths of t = 1.
+    #[inline(always)]
+    pub(super) fn set_limits<S: Simd>(&mut self, packet: usize, first: usize) -> S {
+        let margin = S::splat(UNDERFLOW_MARGIN);
+        let inverse_depths = S::load(&self.inverse_limits[packet][first..]);
+        let Intervals { inverse_starts, inverse_ends, inverse_limits, .. } = &self.intervals[packet];
+        let inverse_starts = inverse_depths.mul_sub(S::load(&inverse_starts[first..]), margin);
+        inverse_starts.store(&mut self.inverse_starts[packet][first..]);
+        let inverse_ends = inverse_depths.mul_add(S::load(&inverse_ends[first..]), margin);
+        inverse_ends.store(&mut self.inverse_ends[packet][first..]);
+        // An infinite limit is that of a ray without an interval.
+        let inverse_limits = inverse_depths.mul_sub(S::load(&inverse_limits[first..]), margin);
+        let inverse_limits = inverse_limits.max(S::splat(0.0)).min(S::splat(f32::MAX));
+        inverse_limits.store(&mut self.inverse_limits[packet][first..]);
+        inverse_limits
+    }
+}
+
+/// The intervals of a packet's rays, and bounds of them in single precision.
+struct Intervals {
+    /// That of all rays, if there is one.
+    common: Option<[f32; 2]>,
+    /// Empty where a plane keeps nothing.
+    t_min: [f32; 64],
+    t_max: [f32; 64],
+    /// As [`inverse_bounds`] has them.
+    inverse_starts: [f32; 64],
+    inverse_ends: [f32; 64],
+    inverse_limits: [f32; 64],
+}
+
+impl Intervals {
+    const NONE: Self = Self {
+        common: None,
+        t_min: [0.0; 64],
+        t_max: [0.0; 64],
+        inverse_starts: [0.0; 64],
+        inverse_ends: [0.0; 64],
+        inverse_limits: [0.0; 64],
+    };
+
+    /// Gives all rays an interval; most packets have that of the packets before them.
+    #[inline(always)]
+    fn set(&mut self, interval: [f32; 2]) {
+        if self.common != Some(interval) {
+            let [inverse_start, inverse_end, inverse_limit] = inverse_bounds(interval);
+            (self.t_min, self.t_max) = ([interval[0]; 64], [interval[1]; 64]);
+            (self.inverse_starts, self.inverse_ends) = ([inverse_start; 64], [inverse_end; 64]);
+            self.inverse_limits = [inverse_limit; 64];
+            self.common = Some(interval);
+        }
+    }
+
+    /// Gives each ray what a plane keeps of it. Returns a bit for each of which nothing is left, and the least depth at which
+    /// others start. A call of its own: its code would make all packets slower within the kernel.
+    #[inline(never)]
+    fn cut(&mut self, packet: &Packet, axis: usize) -> (u64, f32) {
+        self.common = None;
+        let (mut empty, mut least_start) = (0, f32::INFINITY);
+        for lane in 0..64 {
+            let Ray { direction, t_min, t_max, .. } = packet.ray(lane);
+            (self.t_min[lane], self.t_max[lane]) = (t_min, t_max);
+            [self.inverse_starts[lane], self.inverse_ends[lane], self.inverse_limits[lane]] =
+                inverse_bounds([t_min, t_max]);
+            if t_min > t_max {
+                empty |= 1 << lane;
+            } else {
+                least_start = least_start.min(t_min * direction[axis].abs());
+            }
+        }
+        (empty, least_start)
+    }
+}
+
+/// Inverses of t: what lies between the first two is certainly within the interval, and nothing below the third is.
+#[inline(always)]
+fn inverse_bounds([t_min, t_max]: [f32; 2]) -> [f32; 3] {
+    // Nothing is certain of ends that are not numbers. Both zeros have the inverse of the positive one.
+    let start = (1.0 - 1e-6) / if t_min <= 0.0 { 0.0 } else { t_min };
+    let farthest = if t_max > FARTHEST_T { FARTHEST_T } else { t_max };
+    let end = if t_max > 0.0 { (1.0 + 1e-6) / farthest } else { f32::INFINITY };
+    // No subnormal numbers, which are slow, and no infinity: a limit may be too far, not too near.
+    let limit = if t_max > FARTHEST_T { 0.0 } else { ((1.0 - 1e-6) / t_max).min(f32::MAX) };
+    [start, end, limit]
+}
+
+/// The greatest t of which single precision is certain.
+const FARTHEST_T: f32 = 1e30;
 
 /// The nearest hits so far of packets that are traced together.
 pub(super) struct NearestHits<'a, const N: usize> {
@@ -102,12 +219,11 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         certain: u32,
         [least, greatest]: [S; 2],
     ) -> u32 {
-        // Test that the whole bounds lie within the ray's interval.
-        let Packet { directions, t_min, t_max, any_hit, .. } = self.packets[packet];
-        let along = S::load(&directions[self.axis][first..]).abs();
-        let one = S::splat(1.0);
-        let within = one.lt(least.mul(along).mul(S::splat(*t_max * (1.0 - 1e-6))))
-            & greatest.mul(along).mul(S::splat(*t_min * (1.0 + 1e-6))).lt(one);
+        // Test that the whole bounds lie within the ray's interval, or before it.
+        let any_hit = self.packets[packet].any_hit;
+        let inverse_starts = S::load(&self.hits.inverse_starts[packet][first..]);
+        let within = S::load(&self.hits.inverse_ends[packet][first..]).lt(least) & greatest.lt(inverse_starts);
+        let too_near = inverse_starts.mul_add(S::splat(1.0 + 4e-6), S::splat(4.0 * UNDERFLOW_MARGIN)).lt(least);
 
         // Compare them with the estimate and the limit so far.
         let HitScratch { inverse_limits, estimated, estimated_inverse_depths, .. } = &mut *self.hits;
@@ -118,10 +234,10 @@ impl<'a, const N: usize> NearestHits<'a, N> {
 
         // Replace the estimate where the hit is nearer, and move the limit up.
         greatest.masked_store(before, inverse_depths);
-        let inverse_limit = if *any_hit { S::splat(f32::INFINITY) } else { least.max(S::load(inverse_limits)) };
+        let inverse_limit = if any_hit { S::splat(f32::INFINITY) } else { least.max(S::load(inverse_limits)) };
         inverse_limit.masked_store(before, inverse_limits);
         S::masked_fill(triangle, before, &mut estimated[packet][first..]);
-        certain & !(before | behind)
+        certain & !(before | behind | too_near)
     }
 
     /// Queues pairs of a triangle and the rays in a mask, whose first bit is ray `first`, until they fill a vector.
@@ -277,7 +393,8 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         let (nearest, nearest_triangle) = (self.hits.t[index][lane], self.hits.triangles[index][lane]);
         let is_nearer = t < nearest
             || t == nearest && triangle != nearest_triangle && self.precedes_in_file(triangle, nearest_triangle);
-        if is_nearer && (f64::from(packet.t_min)..=f64::from(packet.t_max)).contains(&t) {
+        let Intervals { t_min, t_max, .. } = &self.hits.intervals[index];
+        if is_nearer && (f64::from(t_min[lane])..=f64::from(t_max[lane])).contains(&t) {
             self.hits.t[index][lane] = t;
             self.hits.triangles[index][lane] = triangle;
             let depth = t * f64::from(packet.directions[self.axis][lane].abs());

@@ -99,13 +99,6 @@ impl<const N: usize> PacketRays<'_, N> {
         for index in 0..n_pairs {
             self.record_pair::<S>(prepared, self.pairs[index]);
         }
-
-        // Where any hit will do, groups whose rays all have one need no further triangle.
-        if self.nearest.packets[0].any_hit {
-            for index in 0..n_pairs {
-                self.finish_group::<S>(self.pairs[index]);
-            }
-        }
     }
 
     /// A bit for each prepared triangle that rays of a group may hit.
@@ -125,15 +118,6 @@ impl<const N: usize> PacketRays<'_, N> {
         overlaps_slopes::<S>(prepared, [u[0][group], u[1][group]], [v[0][group], v[1][group]])
             & S::splat(inverse_limits[group]).le(S::load(&prepared.inverse_depth))
             & !sides[0].min(sides[1]).min(sides[2]).lt(S::splat(0.0))
-    }
-
-    /// Marks a pair's group as finished if none of its rays has an interval left.
-    #[inline(always)]
-    fn finish_group<S: Simd>(&mut self, pair: Pair) {
-        let (packet, first) = (usize::from(pair.packet), usize::from(pair.first));
-        let limits = S::load(&self.nearest.hits.inverse_limits[packet % N][first % 64..]);
-        let is_finished = limits.lt(S::splat(f32::INFINITY)) == 0;
-        self.unfinished_groups &= !(u32::from(is_finished) << ((64 * packet + first) / S::LANES % MOST_GROUPS));
     }
 
     /// Bounds the slopes of a group's rays again, without rays that have no interval left.
@@ -197,6 +181,13 @@ impl<const N: usize> PacketRays<'_, N> {
         let rest = possible & !certain | undecided;
         if rest != 0 {
             self.nearest.queue_exact_test::<S>(triangle, 64 * packet + first, rest);
+        }
+
+        // Where any hit will do, a group whose rays all have one needs no further triangle.
+        if self.nearest.packets[packet].any_hit {
+            let inverse_limits = S::load(&self.nearest.hits.inverse_limits[packet][first..]);
+            let is_finished = inverse_limits.lt(S::splat(f32::INFINITY)) == 0;
+            self.unfinished_groups &= !(u32::from(is_finished) << ((64 * packet + first) / S::LANES));
         }
     }
 }

@@ -1,8 +1,9 @@
 //! Packets of rays, and sets of the rays of packets that are traced together.
 
 use glam::Vec3;
+use shared::appearance::ClipPlane;
 
-use crate::intersect::ray::Ray;
+use crate::intersect::{clip, ray::Ray};
 
 /// Up to 64 rays with a common origin, in model space.
 ///
@@ -20,17 +21,31 @@ pub struct Packet {
     pub t_min: f32,
     /// End of all rays' interval.
     pub t_max: f32,
+    /// Cuts each ray's interval.
+    pub clip: Option<ClipPlane>,
     /// Whether any hit of a ray will do in place of the nearest, as for shadows; its t means nothing.
     pub any_hit: bool,
 }
 
 impl Packet {
     /// No rays.
-    pub const NONE: Self =
-        Self { directions: [[0.0; 64]; 3], origin: Vec3::ZERO, active: 0, t_min: 0.0, t_max: f32::MAX, any_hit: false };
+    pub const NONE: Self = Self {
+        directions: [[0.0; 64]; 3],
+        origin: Vec3::ZERO,
+        active: 0,
+        t_min: 0.0,
+        t_max: f32::MAX,
+        clip: None,
+        any_hit: false,
+    };
 
-    /// The ray of one lane.
+    /// The ray of one lane, as far as the plane keeps it.
     pub fn ray(&self, lane: usize) -> Ray {
+        clip::clip_ray(self.clip.as_ref(), self.whole_ray(lane)).unwrap_or(clip::NOTHING)
+    }
+
+    /// The ray of one lane, without a plane.
+    pub(in crate::intersect) fn whole_ray(&self, lane: usize) -> Ray {
         let [x, y, z] = &self.directions;
         let direction = Vec3::new(x[lane], y[lane], z[lane]);
         Ray { origin: self.origin, direction, t_min: self.t_min, t_max: self.t_max }

@@ -95,9 +95,7 @@ fn packet(origin: Vec3, rays: &[Vec3]) -> Packet {
         origin,
         directions: [0, 1, 2].map(|axis| std::array::from_fn(|lane| ray(lane)[axis])),
         active: u64::MAX >> (64 - rays.len()),
-        t_min: 0.0,
-        t_max: f32::MAX,
-        any_hit: false,
+        ..Packet::NONE
     }
 }
 

@@ -217,12 +217,12 @@ fn trace_groups(
     scratch: &mut PacketScratch,
     mut visit: impl FnMut(&[SampleBlock<'_>], &[[Hit; 64]], &mut PacketScratch),
 ) {
-    let mut packets = [Packet::NONE; MOST_PACKETS];
+    let mut packets: [_; MOST_PACKETS] = std::array::from_fn(|_| Packet { clip: clip.copied(), ..Packet::NONE });
     let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
     for_each_group(share, units, |blocks| {
         let (packets, hits) = (&mut packets[..blocks.len()], &mut hits[..blocks.len()]);
         packets.iter_mut().zip(blocks).for_each(|(packet, block)| set_camera_rays(packet, rays, block, 0));
-        scene.trace_group(blocks, packets, clip, scratch, hits);
+        scene.trace_group(blocks, packets, scratch, hits);
         visit(blocks, hits, scratch);
     });
 }
