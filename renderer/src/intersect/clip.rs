@@ -78,13 +78,13 @@ pub fn occluded_rays(grid: &Grid, clip: Option<&ClipPlane>, rays: &mut [Ray], oc
     grid.occluded_rays(rays, occluded);
 }
 
-/// [`Grid::intersect_packets`] with the caps of cuts.
+/// [`Grid::intersect_packets`] with the caps of cuts, where the nearest hits are asked for.
 pub fn intersect_packets(grid: &Grid, packets: &[Packet], scratch: &mut PacketScratch, hits: &mut [[Hit; 64]]) {
     grid.intersect_packets(packets, scratch, hits);
     if grid.mesh().facing().is_none() {
         return;
     }
-    for (packet, hits) in packets.iter().zip(hits).filter(|(packet, _)| packet.clip.is_some()) {
+    for (packet, hits) in packets.iter().zip(hits).filter(|(packet, _)| packet.clip.is_some() && !packet.any_hit) {
         for (lane, hit) in hits.iter_mut().enumerate().filter(|(_, hit)| !hit.is_miss()) {
             *hit = or_cap(grid, &packet.whole_ray(lane), &packet.ray(lane), *hit);
         }

@@ -90,10 +90,11 @@ impl Grid {
         hits[0]
     }
 
-    /// The same for packets with a common origin, [`MOST_PACKETS`] at a time: faster, the closer they lie together.
-    /// `hits` has an entry for each packet.
+    /// The same for packets with a common origin that all ask for the nearest hits, or all for any, [`MOST_PACKETS`] at a time:
+    /// faster, the closer they lie together. `hits` has an entry for each packet.
     pub fn intersect_packets(&self, packets: &[Packet], scratch: &mut PacketScratch, hits: &mut [[Hit; 64]]) {
-        debug_assert!(packets.len() == hits.len() && packets.iter().all(|packet| packet.origin == packets[0].origin));
+        let fits = |packet: &Packet| packet.origin == packets[0].origin && packet.any_hit == packets[0].any_hit;
+        debug_assert!(packets.len() == hits.len() && packets.iter().all(fits));
         for (packets, hits) in packets.chunks(MOST_PACKETS).zip(hits.chunks_mut(MOST_PACKETS)) {
             if let (Some(four), Some(hits)) = (packets.as_array::<MOST_PACKETS>(), hits.as_mut_array()) {
                 let masks = std::array::from_fn(|index| four[index].active);

@@ -2,16 +2,22 @@
 
 use glam::Vec3;
 use proptest::prelude::*;
+use shared::appearance::ClipPlane;
 
 use super::{GridOptions, build, build_modes, point, soup, with_file_index};
 use crate::{
     grid::Grid,
-    intersect::{InstructionSet, MOST_PACKETS, Packet, PacketScratch, ray::Hit, triangle},
+    intersect::{
+        InstructionSet, MOST_PACKETS, Packet, PacketScratch,
+        ray::{Hit, Ray},
+        triangle,
+    },
     model::mesh::Mesh,
 };
 
 /// Checks that packets, alone or together, and single rays have the same hits, bit for bit, with every instruction set
-/// and in every mode: for unbounded rays, and for intervals that begin or end at a hit or next to it.
+/// and in every mode: for unbounded rays, for intervals that begin or end at a hit or next to it, and for all or some packets
+/// that a plane cuts there.
 fn check_packets(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
     check_range(grids, packets);
     let mut all_t = Vec::new();
@@ -23,6 +29,14 @@ fn check_packets(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
     if let Some(&t) = all_t.get(all_t.len() / 2) {
         for (t_min, t_max) in [(0.0, t), (0.0, t.next_down()), (t, f32::MAX), (t.next_up(), f32::MAX), (t, t)] {
             check_range(grids, &packets.each_ref().map(|packet| Packet { t_min, t_max, ..*packet }));
+        }
+        let Ray { origin, direction, .. } = packets[0].ray(0);
+        let point = origin.as_dvec3() + direction.as_dvec3() * f64::from(t);
+        for (normal, n_whole) in [(-direction.as_dvec3(), 0), (direction.as_dvec3(), 2)] {
+            let plane = ClipPlane { normal, offset: normal.dot(point) };
+            let mut cut = packets.each_ref().map(|packet| Packet { ..*packet });
+            cut.iter_mut().skip(n_whole).for_each(|packet| packet.clip = Some(plane));
+            check_range(grids, &cut);
         }
     }
 }
@@ -221,6 +235,43 @@ fn packets_hit_a_soup_of_subnormal_size() {
                     origin: packet.origin * scale,
                     directions: packet.directions.map(|along| along.map(|d| d * per_direction)),
                     ..packet
+                }),
+            );
+        }
+    }
+}
+
+/// Ends that are no numbers, in the wrong order, or have no inverse in single precision.
+#[test]
+fn packets_with_unusual_intervals_hit_what_single_rays_hit() {
+    let mut mesh = Mesh::default();
+    for depth in [1e-29f32, 1.0] {
+        let first = mesh.vertices.len() as u32;
+        mesh.vertices.extend([[-1.0, -1.0, depth], [1.0, -1.0, depth], [0.0, 1.0, depth]]);
+        mesh.triangles.push([first, first + 1, first + 2]);
+    }
+    let grids = build_all(&mesh);
+    let packets = rasters(Vec3::ZERO, Vec3::Z, 0.01, 0xffff_0000_ffff_ffff);
+    for along in [1.0, 1e10] {
+        for (t_min, t_max) in [
+            (f32::NAN, f32::MAX),
+            (0.0, f32::NAN),
+            (-0.0, f32::INFINITY),
+            (f32::INFINITY, f32::INFINITY),
+            (0.5, 0.25),
+            (0.0, 0.0),
+            (0.0, -1.0),
+            (2e-39, f32::MAX),
+            (2e-29, f32::MAX),
+            (0.0, 2e-39),
+        ] {
+            check_range(
+                &grids,
+                &packets.each_ref().map(|packet| Packet {
+                    directions: packet.directions.map(|axis| axis.map(|component| component * along)),
+                    t_min,
+                    t_max,
+                    ..*packet
                 }),
             );
         }

@@ -197,6 +197,7 @@ impl<'a, const N: usize> Culler<'a, N> {
                 (culler.rays.groups.u[0][group], culler.rays.groups.u[1][group]) = (u_low, u_high);
                 (culler.rays.groups.v[0][group], culler.rays.groups.v[1][group]) = (v_low, v_high);
                 culler.rays.groups.inverse_limits[group] = inverse_limits.reduce_min();
+                culler.rays.groups.left[group] = ((1u64 << S::LANES) - 1) as u32;
                 let packet_bounds = &mut culler.rays.packet_slopes[index];
                 *packet_bounds = [
                     packet_bounds[0].min(u_low),
@@ -425,8 +426,8 @@ impl<'a, const N: usize> Culler<'a, N> {
             } else {
                 self.rays.groups.inverse_limits[group] = inverse_limits.reduce_min();
                 least_inverse_limit = least_inverse_limit.min(inverse_limits.reduce_min());
-                if left != all {
-                    self.rays.narrow_group::<S>(group);
+                if left != self.rays.groups.left[group] {
+                    self.rays.narrow_group::<S>(group, left);
                     is_narrower = true;
                 }
             }

@@ -23,7 +23,7 @@ pub(super) struct HitScratch<const N: usize> {
     /// A hit at inverse depths between these is certainly within the interval.
     inverse_starts: [[f32; 64]; N],
     inverse_ends: [[f32; 64]; N],
-    /// Inverse of the limit: no triangle at a greater depth along the major axis can be the nearest. Per world unit.
+    /// Inverse of the limit; infinite for a ray without an interval left. No triangle at a greater depth along the major axis can be the nearest. Per world unit.
     pub(super) inverse_limits: [[f32; 64]; N],
     /// The nearest of the triangles that single precision proves to be hit: the estimate.
     estimated: [[u32; 64]; N],
@@ -50,12 +50,15 @@ impl<const N: usize> Default for HitScratch<N> {
 }
 
 impl<const N: usize> HitScratch<N> {
-    /// Sets the rays' intervals, and makes rays inactive of which a plane keeps nothing. Returns the least depth along an axis
-    /// at which one starts, in model space.
+    /// Sets the intervals of packets with active rays, and makes rays inactive of which a plane keeps nothing. Returns a lower
+    /// bound of the depth along an axis at which rays start, in model space.
     #[inline(always)]
     pub(super) fn set_intervals(&mut self, packets: &[&Packet; N], active: &mut RaySet<N>, axis: usize) -> f32 {
         let mut least_start = f32::INFINITY;
         for (index, packet) in packets.iter().enumerate() {
+            if active.masks[index] == 0 {
+                continue;
+            }
             if packet.clip.is_some() {
                 let (empty, start) = self.intervals[index].cut(packet, axis);
                 active.masks[index] &= !empty;
@@ -88,9 +91,8 @@ impl<const N: usize> HitScratch<N> {
 }
 
 /// The intervals of a packet's rays, and bounds of them in single precision.
+#[repr(C, align(64))]
 struct Intervals {
-    /// That of all rays, if there is one.
-    common: Option<[f32; 2]>,
     /// Empty where a plane keeps nothing.
     t_min: [f32; 64],
     t_max: [f32; 64],
@@ -98,16 +100,18 @@ struct Intervals {
     inverse_starts: [f32; 64],
     inverse_ends: [f32; 64],
     inverse_limits: [f32; 64],
+    /// The interval of all rays, if there is one.
+    common: Option<[f32; 2]>,
 }
 
 impl Intervals {
     const NONE: Self = Self {
-        common: None,
         t_min: [0.0; 64],
         t_max: [0.0; 64],
         inverse_starts: [0.0; 64],
         inverse_ends: [0.0; 64],
         inverse_limits: [0.0; 64],
+        common: None,
     };
 
     /// Gives all rays an interval; most packets have that of the packets before them.
@@ -146,8 +150,13 @@ impl Intervals {
 /// Inverses of t: what lies between the first two is certainly within the interval, and nothing below the third is.
 #[inline(always)]
 fn inverse_bounds([t_min, t_max]: [f32; 2]) -> [f32; 3] {
-    // Nothing is certain of ends that are not numbers. Both zeros have the inverse of the positive one.
-    let start = (1.0 - 1e-6) / if t_min <= 0.0 { 0.0 } else { t_min };
+    // Nothing is certain of ends that are not numbers, or so near that their inverse is too large.
+    let inverse_start = (1.0 - 1e-6) / t_min;
+    let start = match t_min {
+        ..=0.0 => f32::INFINITY,
+        _ if inverse_start.is_finite() => inverse_start,
+        _ => f32::NAN,
+    };
     let farthest = if t_max > FARTHEST_T { FARTHEST_T } else { t_max };
     let end = if t_max > 0.0 { (1.0 + 1e-6) / farthest } else { f32::INFINITY };
     // No subnormal numbers, which are slow, and no infinity: a limit may be too far, not too near.
@@ -186,7 +195,7 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         Self { hits, mesh, packets, axis, rays: [0; 16], triangles: [0; 16], n_pairs: 0 }
     }
 
-    /// Decides the remaining pairs, computes the t of the estimates, and writes the hits.
+    /// Decides the remaining pairs, computes the t of the estimates unless any hit will do, and writes the hits.
     #[inline(always)]
     pub(super) fn write<S: Simd>(&mut self, hits: &mut [[Hit; 64]]) {
         self.decide_queued::<S>();
@@ -199,7 +208,7 @@ impl<'a, const N: usize> NearestHits<'a, N> {
                 self.intersect_estimated::<S>(packet, first);
             }
         }
-        // Rays that hit nothing still have the triangle and the t of a miss.
+        // Rays that hit nothing still have the triangle and the t of a miss, and those of any hit that t.
         for (packet, hits) in hits.iter_mut().take(N).enumerate() {
             for lane in 0..64 {
                 hits[lane] = Hit { triangle: self.hits.triangles[packet][lane], t: self.hits.t[packet][lane] as f32 };
@@ -398,7 +407,8 @@ impl<'a, const N: usize> NearestHits<'a, N> {
             self.hits.t[index][lane] = t;
             self.hits.triangles[index][lane] = triangle;
             let depth = t * f64::from(packet.directions[self.axis][lane].abs());
-            let inverse_limit = if packet.any_hit { f32::INFINITY } else { ((1.0 - 1e-6) / depth) as f32 };
+            let inverse_limit =
+                if packet.any_hit { f32::INFINITY } else { (((1.0 - 1e-6) / depth) as f32).min(f32::MAX) };
             let inverse_limits = &mut self.hits.inverse_limits[index];
             inverse_limits[lane] = inverse_limits[lane].max(inverse_limit);
         }
@@ -415,6 +425,6 @@ impl<'a, const N: usize> NearestHits<'a, N> {
     #[cold]
     #[inline(never)]
     fn decide_exactly(&self, ray: usize, triangle: u32) -> Option<f64> {
-        triangle::intersect_exactly(&self.packets[ray / 64].ray(ray % 64), &self.mesh.corners(triangle))
+        triangle::intersect_exactly(&self.packets[ray / 64].whole_ray(ray % 64), &self.mesh.corners(triangle))
     }
 }

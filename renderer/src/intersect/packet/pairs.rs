@@ -13,11 +13,13 @@ const MOST_GROUPS: usize = MOST_PACKETS * 64 / 8;
 /// Bounds of all groups, one group a lane.
 #[repr(C, align(64))]
 pub(super) struct RayGroups {
-    /// Least and largest slopes.
+    /// Least and largest slopes of the rays that had an interval left when the group was last narrowed.
     pub(super) u: [[f32; MOST_GROUPS]; 2],
     pub(super) v: [[f32; MOST_GROUPS]; 2],
     /// The inverse of the farthest limit of a group's rays.
     pub(super) inverse_limits: [f32; MOST_GROUPS],
+    /// A bit for each of those rays.
+    pub(super) left: [u32; MOST_GROUPS],
 }
 
 impl RayGroups {
@@ -26,6 +28,7 @@ impl RayGroups {
         u: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
         v: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
         inverse_limits: [f32::INFINITY; MOST_GROUPS],
+        left: [0; MOST_GROUPS],
     };
 }
 
@@ -104,7 +107,7 @@ impl<const N: usize> PacketRays<'_, N> {
     /// A bit for each prepared triangle that rays of a group may hit.
     #[inline(always)]
     fn group_may_hit<S: Simd>(&self, prepared: &PreparedTriangles, group: usize) -> u32 {
-        let RayGroups { u, v, inverse_limits } = &*self.groups;
+        let RayGroups { u, v, inverse_limits, .. } = &*self.groups;
         let (u_low, u_high) = (S::splat(u[0][group]), S::splat(u[1][group]));
         let (v_low, v_high) = (S::splat(v[0][group]), S::splat(v[1][group]));
         // Bound the sides of the edges too: a large triangle may pass diagonally beside the group.
@@ -120,16 +123,16 @@ impl<const N: usize> PacketRays<'_, N> {
             & !sides[0].min(sides[1]).min(sides[2]).lt(S::splat(0.0))
     }
 
-    /// Bounds the slopes of a group's rays again, without rays that have no interval left.
+    /// Bounds the slopes of a group's rays again, of those in the mask `rays`.
     #[inline(always)]
-    pub(super) fn narrow_group<S: Simd>(&mut self, group: usize) {
+    pub(super) fn narrow_group<S: Simd>(&mut self, group: usize, rays: u32) {
         let (packet, first) = (group * S::LANES / 64 % N, group * S::LANES % 64);
-        let left = S::load(&self.nearest.hits.inverse_limits[packet][first..]).lt(S::splat(f32::INFINITY));
-        let RayGroups { u, v, .. } = &mut *self.groups;
+        let RayGroups { u, v, left, .. } = &mut *self.groups;
+        left[group] = rays;
         for (bounds, slopes) in [(u, &*self.u), (v, &*self.v)] {
             let slopes = S::load(&slopes[packet][first..]);
-            bounds[0][group] = S::select(left, slopes, S::splat(f32::INFINITY)).reduce_min();
-            bounds[1][group] = S::select(left, slopes, S::splat(f32::NEG_INFINITY)).reduce_max();
+            bounds[0][group] = S::select(rays, slopes, S::splat(f32::INFINITY)).reduce_min();
+            bounds[1][group] = S::select(rays, slopes, S::splat(f32::NEG_INFINITY)).reduce_max();
         }
     }
 

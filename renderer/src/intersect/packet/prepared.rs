@@ -96,7 +96,8 @@ impl PreparedTriangles {
                 bounds[0][lane] = f32::NEG_INFINITY;
                 bounds[1][lane] = f32::INFINITY;
             }
-            self.inverse_depth[lane] = f32::INFINITY;
+            // Rays without an interval left have an infinite limit, and so do not hit it.
+            self.inverse_depth[lane] = f32::MAX;
         }
 
         // Compute the planes through the origin and the edges: p × (q − p) for the edge from p to q.
@@ -152,10 +153,10 @@ impl PreparedTriangles {
         let is_oriented = offset_margin.lt(offset.abs());
 
         // Bound the products from above; without a certain orientation the bound is infinite.
-        let group_margin = S::select(is_oriented, side_margin.mul(S::splat(4.0)), S::splat(f32::INFINITY));
+        let margin = S::select(is_oriented, side_margin.mul(S::splat(4.0)), S::splat(f32::INFINITY));
         for edge in 0..3 {
             let along_k = sides[edge][0].mul(sign).mul(orientation);
-            along_k.add(group_margin).store(&mut self.greatest_sides[edge]);
+            along_k.add(margin).store(&mut self.greatest_sides[edge]);
             along_k.store(&mut self.sides[edge][0]);
             sides[edge][1].mul(orientation).store(&mut self.sides[edge][1]);
             sides[edge][2].mul(orientation).store(&mut self.sides[edge][2]);

@@ -39,7 +39,7 @@ impl Packet {
         any_hit: false,
     };
 
-    /// The ray of one lane, as far as the plane keeps it.
+    /// The ray of one lane, as far as the plane keeps it; where it keeps nothing, any ray with an empty interval.
     pub fn ray(&self, lane: usize) -> Ray {
         clip::clip_ray(self.clip.as_ref(), self.whole_ray(lane)).unwrap_or(clip::NOTHING)
     }
