@@ -80,7 +80,7 @@ pub(crate) fn hits(scene: &Scene, rays: &CameraRays, size: FrameSize) -> Vec<Hit
     for_each_group(&share, 0..share.count(), |blocks| {
         let (packets, hits) = (&mut packets[..blocks.len()], &mut hits[..blocks.len()]);
         packets.iter_mut().zip(blocks).for_each(|(packet, block)| set_camera_rays(packet, rays, block, 0));
-        scene.trace_group(blocks, packets, None, &mut scratch, hits);
+        scene.trace_group(blocks, packets, &mut scratch, hits);
         for (block, hits) in blocks.iter().zip(hits) {
             for ((i, j), &hit) in block.samples().zip(&*hits) {
                 rows[(j * size.xres() + i) as usize] = scene.with_file_index(hit);
