@@ -23,7 +23,8 @@ pub(super) struct HitScratch<const N: usize> {
     /// A hit at inverse depths between these is certainly within the interval.
     inverse_starts: [[f32; 64]; N],
     inverse_ends: [[f32; 64]; N],
-    /// Inverse of the limit; infinite for a ray without an interval left. No triangle at a greater depth along the major axis can be the nearest. Per world unit.
+    /// Inverse of the limit: no triangle at a greater depth along the major axis can be the nearest. Per world unit; infinite for a
+    /// ray without an interval left.
     pub(super) inverse_limits: [[f32; 64]; N],
     /// The nearest of the triangles that single precision proves to be hit: the estimate.
     estimated: [[u32; 64]; N],
