@@ -4,6 +4,8 @@
 //! Where single precision proves a hit, it also bounds the hit's depth, and hits whose bounds do not overlap are
 //! ordered by them. So most hits that are not the nearest are dropped without the exact test, and only the t of the
 //! nearest is computed, at the end.
+//!
+//! Each ray has an interval of its own, which a plane may have cut ([`Intervals`]): hits outside are dropped.
 
 use crate::{
     grid::traced::TracedMesh,
