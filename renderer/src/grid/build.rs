@@ -72,7 +72,8 @@ impl Grid {
             Storage::Tree | Storage::Compact => {
                 let most_bytes_in_order = options.memory_budget.remaining_beside(mesh_bytes_in_order);
                 let most_bytes = [most_bytes, most_bytes_in_order];
-                let (grid, wanted) = Self::tree(mesh, &bounds, storage, density, most_bytes, progress);
+                let is_even = references.is_some();
+                let (grid, wanted) = Self::tree(mesh, &bounds, storage, density, is_even, most_bytes, progress);
                 (grid, wanted.is_some(), wanted)
             }
             Storage::Plain | Storage::RowDisplacement => {
@@ -102,13 +103,14 @@ impl Grid {
         Self { shortage, is_limited: is_coarser || grid.is_limited, ..grid }
     }
 
-    /// Builds a tree, of at most so many bytes beside the mesh as loaded, and beside the mesh in the tree's order. Returns,
-    /// second, how many references it may want if cells stay undivided to save memory.
+    /// Builds a tree of triangles whose sizes may be even, of at most so many bytes beside the mesh as loaded, and beside the
+    /// mesh in the tree's order. Returns, second, how many references it may want if cells stay undivided to save memory.
     fn tree(
         mesh: Mesh,
         bounds: &Aabb,
         storage: Storage,
         density: f64,
+        is_even: bool,
         [most_bytes, most_bytes_in_order]: [u64; 2],
         progress: &(dyn Fn(f32) + Sync),
     ) -> (Self, Option<u64>) {
@@ -187,8 +189,9 @@ impl Grid {
         };
         let n_bytes_left = most_bytes_in_order.saturating_sub(tree.figures().n_bytes() as u64);
         let n_items = tree.n_items();
-        let is_over_triangles =
-            |n_bytes_left| !is_compact && Hierarchy::is_over_triangles(mesh.n_triangles(), n_items, n_bytes_left);
+        let is_over_triangles = |n_bytes_left| {
+            !is_compact && Hierarchy::is_over_triangles(mesh.n_triangles(), n_items, is_even, n_bytes_left)
+        };
         let is_limited = is_over_triangles(u64::MAX) && !is_over_triangles(n_bytes_left);
         tree.hierarchy = if is_over_triangles(n_bytes_left) {
             Tree::hierarchy_over_triangles(&space, &mesh, n_bytes_left)
