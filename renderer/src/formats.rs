@@ -1,7 +1,7 @@
 //! Reads meshes from files.
 //!
 //! [`mod@file`] tells formats apart, and `foreign` files of other kinds: [`ply`], [`obj`], [`stl`] and [`gltf`] read theirs,
-//! with `assembly`, `decimal` and `wedges` in common; [`companions`] finds the files that a model names, `tiles` those of tiled
+//! with `assembly`, `polygon`, `decimal` and `wedges` in common; [`companions`] finds the files that a model names, `tiles` those of tiled
 //! textures, [`sources`] says whether any of them have changed, and [`images`] decodes its images, with `specular` for metals. [`sky`]
 //! reads the image that lights a model.
 
@@ -14,6 +14,7 @@ pub mod gltf;
 pub mod images;
 pub mod obj;
 pub mod ply;
+mod polygon;
 pub mod sky;
 pub mod sources;
 mod specular;

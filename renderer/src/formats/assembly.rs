@@ -5,7 +5,7 @@ use std::io;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::{memory, model::mesh::Mesh};
+use crate::{formats::polygon::PolygonDivider, memory, model::mesh::Mesh};
 
 /// Why a mesh cannot be held.
 #[derive(Debug, thiserror::Error)]
@@ -45,6 +45,7 @@ pub(super) fn index_from_f64(value: f64) -> Option<u32> {
 pub(super) struct MeshBuilder {
     /// All but `vertices`, `origin` and `triangles` may be filled from outside.
     pub(super) mesh: Mesh,
+    polygons: PolygonDivider,
 }
 
 impl MeshBuilder {
@@ -97,12 +98,6 @@ impl MeshBuilder {
         }
     }
 
-    pub(super) fn push_triangle(&mut self, corners: [u32; 3]) -> Result<(), AssemblyError> {
-        check_count(self.mesh.triangles.len() + 1, "triangles")?;
-        self.mesh.triangles.push(corners);
-        Ok(())
-    }
-
     /// Adds `n` triangles.
     pub(super) fn extend_triangles(
         &mut self,
@@ -114,12 +109,21 @@ impl MeshBuilder {
         Ok(())
     }
 
-    /// Fans a polygon: (0, 1, 2), (0, 2, 3), …
-    pub(super) fn push_polygon(&mut self, corners: &[u32]) -> Result<(), AssemblyError> {
-        let Some((&first, rest)) = corners.split_first() else { return Ok(()) };
-        check_count(self.mesh.triangles.len() + rest.len().saturating_sub(1), "triangles")?;
-        self.mesh.triangles.extend(rest.windows(2).map(|edge| [first, edge[0], edge[1]]));
-        Ok(())
+    /// Adds the triangles of a polygon. Returns them by the numbers of its corners.
+    pub(super) fn push_polygon(&mut self, corners: &[u32]) -> Result<&[[u32; 3]], AssemblyError> {
+        check_count(self.mesh.triangles.len() + corners.len().saturating_sub(2), "triangles")?;
+        if let &[a, b, c] = corners {
+            self.mesh.triangles.push([a, b, c]);
+            return Ok(&[[0, 1, 2]]);
+        }
+        let position = |number: usize| {
+            let vertex = self.mesh.vertices.get(corners[number] as usize)?;
+            Mesh::is_usable(*vertex).then(|| Vec3::from_array(*vertex).as_dvec3())
+        };
+        let of_polygon = self.polygons.divide(corners.len(), position);
+        let vertices = |triangle: &[u32; 3]| triangle.map(|number| corners[number as usize]);
+        self.mesh.triangles.extend(of_polygon.iter().map(vertices));
+        Ok(of_polygon)
     }
 
     /// Unrolls strips, separated by negative indices; flips every other triangle, so that all face the same way.
@@ -214,7 +218,7 @@ mod tests {
     fn triangle(corners: [[f64; 3]; 3]) -> Mesh {
         let mut builder = MeshBuilder::default();
         corners.into_iter().for_each(|corner| builder.push_vertex(DVec3::from_array(corner)));
-        builder.push_triangle([0, 1, 2]).unwrap();
+        builder.push_polygon(&[0, 1, 2]).unwrap();
         builder.finish()
     }
 

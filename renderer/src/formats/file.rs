@@ -174,8 +174,8 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64, companions: &Companions
 /// Large enough that system calls cost nothing, small beside any mesh.
 const BUFFER_BYTES: usize = 256 * 1024;
 
-/// Bytes that tell the format; comments may precede what is telling.
-const START_BYTES: u64 = 4096;
+/// Bytes that tell the format; comments may precede what is telling, as a licence.
+const START_BYTES: u64 = 1 << 16;
 
 impl Format {
     /// The format of a file of `n_bytes` bytes that starts like this.

@@ -161,25 +161,23 @@ impl Model {
         self.is_cut |= piece.is_cut;
 
         let mut materials = piece.materials.into_iter().peekable();
-        let mut start = 0;
+        let (mut start, mut vertices) = (0, Vec::new());
         for (polygon, &end) in piece.polygons.iter().enumerate() {
             while let Some((_, name)) = materials.next_if(|(first, _)| *first <= polygon) {
                 self.use_material(name);
             }
             let corners = &piece.corners[start..end];
             start = end;
-            let Some((first, rest)) = corners.split_first() else { continue };
-            for edge in rest.windows(2) {
-                let rows = |kind: usize| {
-                    [first[kind], edge[0][kind], edge[1][kind]]
-                        .map(|index| piece::absolute(index, before[kind]).unwrap_or(u32::MAX))
-                };
-                let triangle = self.builder.n_triangles();
-                self.builder.push_triangle(rows(0))?;
+            let row = |kind: usize, index: i64| piece::absolute(index, before[kind]).unwrap_or(u32::MAX);
+            vertices.clear();
+            vertices.extend(corners.iter().map(|corner| row(0, corner[0])));
+            let first = self.builder.n_triangles();
+            for (triangle, numbers) in (first..).zip(self.builder.push_polygon(&vertices)?) {
+                let triangle_corners = numbers.map(|number| corners[number as usize]);
                 for (kind, of_corners) in [(1, &mut self.texture_corners), (2, &mut self.normal_corners)] {
-                    if first[kind] != piece::NONE || edge.iter().any(|corner| corner[kind] != piece::NONE) {
+                    if triangle_corners.iter().any(|corner| corner[kind] != piece::NONE) {
                         of_corners.resize(triangle, NO_ROW);
-                        of_corners.push(rows(kind));
+                        of_corners.push(triangle_corners.map(|corner| row(kind, corner[kind])));
                     }
                 }
             }
@@ -208,8 +206,7 @@ impl Model {
             wedges::split(&mut mesh, |triangle, corner, _| Look {
                 texture_coordinates: (self.texture_coordinates)
                     .get(row(&self.texture_corners, triangle, corner))
-                    .copied()
-                    .unwrap_or_default(),
+                    .copied(),
                 normal: (self.normals)
                     .get(row(&self.normal_corners, triangle, corner))
                     .copied()

@@ -63,7 +63,7 @@ pub enum Problem {
     Row { element: String, row: usize, what: String },
 }
 
-/// Reads a PLY of `n_bytes` bytes from its beginning: ASCII or binary, polygons fanned as (0, k, k+1), strips unrolled.
+/// Reads a PLY of `n_bytes` bytes from its beginning: ASCII or binary, polygons divided, strips unrolled.
 ///
 /// A file without faces or without vertices is a mesh without triangles.
 /// Takes at most a small multiple of `n_bytes` of memory, even if the header lies.
@@ -97,14 +97,14 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, Proble
             }
             ElementKind::Faces { colored, textured, numbered } => {
                 assembly.reserve_triangles(element.most_triangle_rows(header.encoding, n_left))?;
+                faces.begin(assembly.n_triangles(), [colored, numbered, textured]);
                 read_rows(&mut reader, &header, element, |face: &Corners| {
-                    let first = assembly.n_triangles();
-                    assembly.push_polygon(&face.indices)?;
-                    let n = assembly.n_triangles() - first;
+                    let triangles = assembly.push_polygon(&face.indices)?;
+                    let n = triangles.len();
                     faces.colors.extend(std::iter::repeat_n(face.color, if colored { n } else { 0 }));
                     faces.textures.extend(std::iter::repeat_n(face.texture, if numbered { n } else { 0 }));
                     if textured {
-                        faces.push_corners(face);
+                        faces.push_corners(face, triangles);
                     }
                     Ok(())
                 })?;

@@ -56,14 +56,14 @@ pub fn read_binary(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, Text
             for corner in numbers.as_chunks().0 {
                 corners.push(*corner)?;
             }
-            corners.end_polygon();
+            corners.end_polygon()?;
         }
         n_left -= n;
     }
-    Ok(corners.finish())
+    Ok(corners.finish()?)
 }
 
-/// Reads a text STL. A facet of more than three corners is fanned; several solids become one mesh.
+/// Reads a text STL. A facet of more than three corners is divided; several solids become one mesh.
 ///
 /// # Errors
 /// A corner is not three numbers, or there are too many triangles.
@@ -76,7 +76,7 @@ pub fn read_text(mut reader: impl BufRead) -> Result<Draft, TextProblem> {
     loop {
         line.clear();
         if reader.by_ref().take(LONGEST_LINE).read_until(line_end, &mut line)? == 0 {
-            let mut draft = corners.finish();
+            let mut draft = corners.finish()?;
             if is_open {
                 draft.remarks.push("ends without `endsolid`: it may have been cut short".to_owned());
             }
@@ -96,7 +96,7 @@ pub fn read_text(mut reader: impl BufRead) -> Result<Draft, TextProblem> {
                 }
                 corners.push(position)?;
             } else if word.eq_ignore_ascii_case(b"endloop") || word.eq_ignore_ascii_case(b"endfacet") {
-                corners.end_polygon();
+                corners.end_polygon()?;
             } else if word.eq_ignore_ascii_case(b"solid") || word.eq_ignore_ascii_case(b"endsolid") {
                 is_open = word.eq_ignore_ascii_case(b"solid");
                 break; // a name follows
@@ -116,9 +116,8 @@ struct Welder {
     builder: MeshBuilder,
     /// A hash table with open addressing: the vertices, each near the slot of its hash. Its length is a power of two.
     slots: Vec<u32>,
-    /// The first and last corner of the polygon that is being read, and how many were read.
-    pending: [u32; 2],
-    n_pending: usize,
+    /// The corners of the polygon that is being read.
+    pending: Vec<u32>,
 }
 
 impl Welder {
@@ -127,18 +126,14 @@ impl Welder {
     /// Adds a corner of a polygon, which [`Welder::end_polygon`] ends.
     fn push(&mut self, position: [f32; 3]) -> Result<(), AssemblyError> {
         let vertex = self.vertex(position)?;
-        match self.n_pending {
-            0 => self.pending[0] = vertex,
-            1 => {}
-            _ => self.builder.push_triangle([self.pending[0], self.pending[1], vertex])?,
-        }
-        self.pending[1] = vertex;
-        self.n_pending += 1;
+        self.pending.push(vertex);
         Ok(())
     }
 
-    fn end_polygon(&mut self) {
-        self.n_pending = 0;
+    fn end_polygon(&mut self) -> Result<(), AssemblyError> {
+        self.builder.push_polygon(&self.pending)?;
+        self.pending.clear();
+        Ok(())
     }
 
     fn vertex(&mut self, position: [f32; 3]) -> Result<u32, AssemblyError> {
@@ -179,8 +174,9 @@ impl Welder {
         }
     }
 
-    fn finish(self) -> Draft {
-        Draft { mesh: self.builder.finish(), ..Draft::default() }
+    fn finish(mut self) -> Result<Draft, AssemblyError> {
+        self.end_polygon()?;
+        Ok(Draft { mesh: self.builder.finish(), ..Draft::default() })
     }
 }
 

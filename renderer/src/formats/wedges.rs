@@ -6,7 +6,7 @@ use crate::model::{mesh::Mesh, normal::Normal};
 /// The look of a corner.
 #[derive(Clone, Copy)]
 pub(super) struct Look {
-    pub(super) texture_coordinates: [f32; 2],
+    pub(super) texture_coordinates: Option<[f32; 2]>,
     pub(super) normal: Normal,
     /// Replaces the vertex's own, if there is one.
     pub(super) color: Option<[u8; 3]>,
@@ -14,7 +14,7 @@ pub(super) struct Look {
 
 impl Look {
     fn is_same(&self, other: &Self) -> bool {
-        let bits = |look: &Self| look.texture_coordinates.map(f32::to_bits);
+        let bits = |look: &Self| look.texture_coordinates.map(|coordinates| coordinates.map(f32::to_bits));
         bits(self) == bits(other) && self.normal == other.normal && self.color == other.color
     }
 }
@@ -30,7 +30,7 @@ const UNUSED: u32 = u32::MAX - 1;
 /// its corners, 0 to 2, and the vertex there.
 pub(super) fn split(mesh: &mut Mesh, look: impl Fn(usize, usize, usize) -> Look) -> Result<(), AssemblyError> {
     let n_positions = mesh.vertices.len();
-    let none = Look { texture_coordinates: [0.0; 2], normal: Normal::OF_TRIANGLE, color: None };
+    let none = Look { texture_coordinates: None, normal: Normal::OF_TRIANGLE, color: None };
     let mut looks = vec![none; n_positions];
     let mut next = vec![UNUSED; n_positions];
     for triangle in 0..mesh.triangles.len() {
@@ -70,8 +70,8 @@ pub(super) fn split(mesh: &mut Mesh, look: impl Fn(usize, usize, usize) -> Look)
     if looks.iter().any(|look| look.normal != Normal::OF_TRIANGLE) {
         mesh.normals = looks.iter().map(|look| look.normal).collect();
     }
-    if looks.iter().any(|look| look.texture_coordinates != [0.0; 2]) {
-        mesh.texture_coordinates = looks.iter().map(|look| look.texture_coordinates).collect();
+    if looks.iter().any(|look| look.texture_coordinates.is_some()) {
+        mesh.texture_coordinates = looks.iter().map(|look| look.texture_coordinates.unwrap_or_default()).collect();
     }
     if looks.iter().any(|look| look.color.is_some()) {
         mesh.colors = looks.iter().map(|look| look.color.unwrap_or([u8::MAX; 3])).collect();
@@ -93,7 +93,7 @@ mod tests {
         };
         let before: Vec<_> = (0..4).map(|triangle| mesh.corners(triangle)).collect();
         split(&mut mesh, |triangle, corner, _| Look {
-            texture_coordinates: if (triangle, corner) == (2, 2) { [1.0, 0.0] } else { [0.0; 2] },
+            texture_coordinates: Some(if (triangle, corner) == (2, 2) { [1.0, 0.0] } else { [0.0; 2] }),
             normal: Normal::OF_TRIANGLE,
             color: None,
         })
@@ -109,7 +109,7 @@ mod tests {
         let n = 200_000;
         let mut mesh = Mesh { vertices: vec![[0.0; 3]], triangles: vec![[0; 3]; n], ..Mesh::default() };
         split(&mut mesh, |triangle, corner, _| Look {
-            texture_coordinates: [triangle as f32, corner as f32],
+            texture_coordinates: Some([triangle as f32, corner as f32]),
             normal: Normal::OF_TRIANGLE,
             color: None,
         })

@@ -197,9 +197,10 @@ fn logical_line(text: &[u8]) -> (&[u8], usize, usize) {
     }
 }
 
-/// Whether a line that ends here goes on in the next.
-pub(super) fn goes_on(line: &[u8]) -> bool {
-    line.strip_suffix(b"\r").unwrap_or(line).ends_with(b"\\")
+/// Whether a line that ends here goes on in the next. Remarks do not: they may end with the name of a folder.
+pub(super) fn goes_on(text: &[u8]) -> bool {
+    let line = || text.rsplit(|&byte| byte == b'\n').next().unwrap_or(text).trim_ascii_start();
+    text.strip_suffix(b"\r").unwrap_or(text).ends_with(b"\\") && !line().starts_with(b"#")
 }
 
 /// The words of a line up to a remark.

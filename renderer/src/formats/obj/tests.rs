@@ -39,6 +39,29 @@ fn faces_are_fanned_in_order() {
 }
 
 #[test]
+fn concave_faces_are_divided_within_them() {
+    let Draft { mesh, .. } = parse("v 0 0 0\nv 4 0 0\nv 4 4 0\nv 3 1 0\nvt 0 1\nf 2/1 3/1 4/1 1/1\n").unwrap();
+    let mut triangles: Vec<_> = mesh
+        .triangles
+        .iter()
+        .map(|&corners| {
+            let mut sorted = corners;
+            sorted.sort();
+            sorted
+        })
+        .collect();
+    triangles.sort();
+    assert_eq!(triangles, [[0, 1, 3], [1, 2, 3]]);
+    assert_eq!(mesh.texture_coordinates, [[0.0; 2]; 4], "coordinates that are all zero are coordinates");
+}
+
+#[test]
+fn a_remark_does_not_go_on() {
+    let text = format!("# C:\\models\\\n{CORNERS}  # of d:\\\r\nf 1 2 3\n");
+    assert_eq!(mesh(text).triangles, [[0, 1, 2]]);
+}
+
+#[test]
 fn lines_may_go_on_and_end_anyhow() {
     let expected = mesh(format!("{CORNERS}f 1 2 3\n"));
     for text in [

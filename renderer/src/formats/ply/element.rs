@@ -81,7 +81,7 @@ pub(super) struct Corners {
     pub(super) indices: Vec<u32>,
     /// Two numbers for each corner, with v from the lower edge.
     pub(super) texture_coordinates: Vec<f32>,
-    /// The number of the texture.
+    /// The number of the texture; [`u16::MAX`] for none, which files call −1.
     pub(super) texture: u16,
     pub(super) color: [u8; 3],
 }
@@ -105,7 +105,7 @@ impl PropertyAccess for Corners {
                     _ => return PropertyAccessResult::Ignored,
                 }
             }
-            "n" => self.texture = number(&value).map_or(u16::MAX, |number| number as u16),
+            "n" => self.texture = number(&value).and_then(|it| u16::try_from(it as i64).ok()).unwrap_or(u16::MAX),
             "r" => self.color[0] = color(&value),
             "g" => self.color[1] = color(&value),
             "b" => self.color[2] = color(&value),

@@ -13,14 +13,14 @@ use crate::model::{
     normal::Normal,
 };
 
-/// The looks of triangles, in file order; each list is empty, or as long as the triangles of faces.
+/// The looks of triangles, in file order; each list is empty, or ends with the last triangle of faces.
 #[derive(Default)]
 pub(super) struct FaceLooks {
     pub(super) colors: Vec<[u8; 3]>,
     /// Numbers of textures.
     pub(super) textures: Vec<u16>,
     /// Texture coordinates of corners.
-    corners: Vec<[[f32; 2]; 3]>,
+    corners: Vec<Option<[[f32; 2]; 3]>>,
 }
 
 /// PLY counts v from the lower edge.
@@ -29,15 +29,19 @@ pub(super) fn flipped([u, v]: [f32; 2]) -> [f32; 2] {
 }
 
 impl FaceLooks {
-    /// Adds the texture coordinates of a polygon, fanned like it.
-    pub(super) fn push_corners(&mut self, face: &Corners) {
-        let n_triangles = face.indices.len().saturating_sub(2);
-        match *face.texture_coordinates.as_chunks::<2>().0 {
-            [first, ref rest @ ..] if rest.len() + 1 == face.indices.len() => {
-                self.corners.extend(rest.windows(2).map(|edge| [first, edge[0], edge[1]].map(flipped)));
-            }
-            _ => self.corners.extend(std::iter::repeat_n([[0.0; 2]; 3], n_triangles)),
-        }
+    /// Begins with faces after `n_triangles` of strips, which have no looks of their own, but the first texture.
+    pub(super) fn begin(&mut self, n_triangles: usize, [colored, numbered, textured]: [bool; 3]) {
+        self.colors.resize(if colored { n_triangles } else { 0 }, [u8::MAX; 3]);
+        self.textures.resize(if numbered { n_triangles } else { 0 }, 0);
+        self.corners.resize(if textured { n_triangles } else { 0 }, None);
+    }
+
+    /// Adds the texture coordinates of a polygon's triangles, which are named by the numbers of its corners.
+    pub(super) fn push_corners(&mut self, face: &Corners, triangles: &[[u32; 3]]) {
+        let coordinates = face.texture_coordinates.as_chunks().0;
+        let are_whole = coordinates.len() == face.indices.len();
+        let of_corner = |number: u32| flipped(coordinates[number as usize]);
+        self.corners.extend(triangles.iter().map(|triangle| are_whole.then(|| triangle.map(of_corner))));
     }
 
     /// Gives a mesh its looks. Colours of vertices count more than those of faces, coordinates of corners more than those of
@@ -51,8 +55,8 @@ impl FaceLooks {
             let coordinates = std::mem::take(&mut mesh.texture_coordinates);
             wedges::split(&mut mesh, |triangle, corner, vertex| Look {
                 texture_coordinates: match self.corners.get(triangle) {
-                    Some(corners) => corners[corner],
-                    None => coordinates.get(vertex).copied().unwrap_or_default(),
+                    Some(&Some(corners)) => Some(corners[corner]),
+                    _ => coordinates.get(vertex).copied(),
                 },
                 normal: normals.get(vertex).copied().unwrap_or(Normal::OF_TRIANGLE),
                 color: self.colors.get(triangle).copied(),

@@ -112,8 +112,8 @@ fn two_of_three_colors_are_no_color() {
 #[test]
 fn polygons_are_fanned_in_order() {
     let text = TRIANGLE.replace("vertex 3", "vertex 5").replace("face 1", "face 4");
-    let text = text.replace("3 0 1 2\n", "2 2 2\n3 3 3\n5 4 3 2 1 0\n2 0 1\n0\n4 0 1 2 3\n");
-    assert_eq!(mesh(text).triangles, [[4, 3, 2], [4, 2, 1], [4, 1, 0], [0, 1, 2], [0, 2, 3]]);
+    let text = text.replace("3 0 1 2\n", "1 1 0\n0.5 1.5 0\n5 0 1 3 4 2\n2 0 1\n0\n4 0 1 3 2\n");
+    assert_eq!(mesh(text).triangles, [[0, 1, 3], [0, 3, 4], [0, 4, 2], [0, 1, 3], [0, 3, 2]]);
 }
 
 #[test]
@@ -123,6 +123,36 @@ fn strips_are_unrolled_facing_one_way() {
     let mesh = mesh(text);
     assert_eq!(mesh.triangles, [[0, 1, 2], [2, 1, 3], [3, 2, 1], [1, 2, 0]]);
     assert_eq!(mesh.n_rejected, 0);
+}
+
+#[test]
+fn looks_of_faces_after_strips_are_theirs() {
+    let draft = read(
+        "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+        element tristrips 1\nproperty list int int vertex_indices\n\
+        element face 2\nproperty list uchar int vertex_indices\nproperty uchar red\nproperty uchar green\n\
+        property uchar blue\nend_header\n0 0 0\n1 0 0\n0 1 0\n1 1 0\n4 0 1 2 3\n3 0 1 2 255 0 0\n3 1 2 3 0 0 255\n",
+    );
+    let colors = draft.mesh.triangles.iter().map(|&[corner, ..]| draft.mesh.colors[corner as usize]);
+    assert_eq!(colors.collect::<Vec<_>>(), [[255; 3], [255; 3], [255, 0, 0], [0, 0, 255]]);
+}
+
+#[test]
+fn corners_of_concave_faces_keep_their_texture_coordinates() {
+    let draft = read(
+        "ply\nformat ascii 1.0\ncomment TextureFile a.png\nelement vertex 4\nproperty float x\nproperty float y\n\
+        property float z\nelement face 1\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\n\
+        property int texnumber\nend_header\n0 0 0\n4 0 0\n4 4 0\n3 1 0\n4 1 2 3 0 8 4 0 4 4 3 1 0 0 -1\n",
+    );
+    assert_eq!(draft.mesh.triangles.len(), 2);
+    for corner in draft.mesh.triangles.into_iter().flatten() {
+        let ([x, y, _], [u, v]) =
+            (draft.mesh.vertices[corner as usize], draft.mesh.texture_coordinates[corner as usize]);
+        assert_eq!([u, 1.0 - v], [x, y]);
+    }
+    let materials = &draft.mesh.materials;
+    let of_triangles = materials.of_triangles.iter().map(|&number| &materials.materials[usize::from(number)]);
+    assert!(of_triangles.into_iter().all(|material| material.base_color_texture.is_none()), "-1 is no texture");
 }
 
 #[test]
