@@ -23,7 +23,7 @@ use crate::farm::LocalReporter;
 const STATUS_TRIES: u32 = 100;
 const STATUS_PAUSE: Duration = Duration::from_millis(10);
 
-/// Render servers that end with the wall, and start again when they are killed.
+/// Render servers that end with the wall, and start again when they die.
 #[derive(Debug)]
 pub struct LocalServers {
     program: PathBuf,
@@ -123,7 +123,7 @@ struct Watched {
 }
 
 impl Watched {
-    /// Starts it again whenever it was killed, until it ends in another way, which its own lines explain, or the wall ends.
+    /// Starts it again whenever it dies, until it ends in another way, which its own lines explain, or the wall ends.
     fn keep_running(&self, mut command: Command) {
         let name = &self.name;
         let mut last_delay = None;
@@ -133,17 +133,17 @@ impl Watched {
             if self.are_ending.load(Relaxed) {
                 return;
             }
-            if !status.is_some_and(was_killed) {
+            let Some(death) = status.and_then(|status| death(status, [oom_kills, self::oom_kills()])) else {
                 let status = status.map_or_else(String::new, |status| format!(" ({status})"));
                 return self.report_end(format!(
                     "{name} ended{status} and stays away: the log says why; start the wall again to have it back."
                 ));
-            }
+            };
             let delay = next_delay(last_delay, started_at.elapsed());
             last_delay = Some(delay);
-            let (cause, seconds) = (cause_of_kill(oom_kills, self::oom_kills()), delay.as_secs());
-            tracing::warn!("render server {name} was killed{cause}; it starts again in {seconds} s");
-            self.report_end(format!("{name} was killed{cause}. It starts again in {seconds} s."));
+            let seconds = delay.as_secs();
+            tracing::warn!("render server {name} {death}; it starts again in {seconds} s");
+            self.report_end(format!("{name} {death}. It starts again in {seconds} s."));
             thread::sleep(delay);
             let mut child = locked(&self.child);
             // Read under the lock: the wall's end kills the child that is there then.
@@ -207,12 +207,23 @@ fn wait_for_end(child: &Mutex<Child>) -> Option<ExitStatus> {
     })
 }
 
-/// Whether the process was ended by SIGKILL: Linux sends it when memory runs out.
-fn was_killed(status: ExitStatus) -> bool {
+/// The exit status of a program that panics.
+const PANICKED: i32 = 101;
+
+/// Signals: the second has other numbers on other systems.
+const SIGKILL: i32 = 9;
+const SIGBUS: i32 = if cfg!(target_os = "linux") { 7 } else { 10 };
+
+/// What a process died of, which another may survive; `None` if it ended by itself. Linux sends SIGKILL when memory runs out, and
+/// SIGBUS when a mapped file is cut.
+fn death(status: ExitStatus, oom_kills: [Option<u64>; 2]) -> Option<String> {
     #[cfg(unix)]
-    return std::os::unix::process::ExitStatusExt::signal(&status) == Some(9);
-    #[cfg(not(unix))]
-    return false;
+    match std::os::unix::process::ExitStatusExt::signal(&status) {
+        Some(SIGKILL) => return Some(format!("was killed{}", cause_of_kill(oom_kills[0], oom_kills[1]))),
+        Some(SIGBUS) => return Some("lost a file that it had mapped".to_owned()),
+        _ => {}
+    }
+    (status.code() == Some(PANICKED)).then(|| "crashed: the log says where".to_owned())
 }
 
 #[cfg(test)]

@@ -1,8 +1,11 @@
 //! One conversation with a wall, from the handshake to its end.
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicBool, Ordering::Relaxed},
+use std::{
+    panic,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
 };
 
 use channel::{
@@ -21,6 +24,7 @@ use shared::{
 use tokio::{
     io::{AsyncRead, AsyncWrite},
     sync::{Semaphore, mpsc},
+    task::JoinError,
     time::{Instant, MissedTickBehavior, interval, timeout_at},
 };
 
@@ -132,18 +136,26 @@ async fn run_session(
         reason = session.listen(&mut reader) => reason,
         reason = write_messages(&mut writer, outgoing, reply_queue, loader) => reason,
         ended = &mut worker => {
-            ended.expect(NO_PANIC);
+            end_of_worker(ended);
             return SessionEnd { was_accepted: true, reason: Ok(()) };
         }
     };
     drop(session);
     // The worker ends with its queue and outbox.
-    worker.await.expect(NO_PANIC);
+    end_of_worker(worker.await);
     SessionEnd { was_accepted: true, reason }
 }
 
-/// A panic of the worker is a bug, and ends the program: a node that renders nothing would only delay the others.
-const NO_PANIC: &str = "tracing does not panic";
+/// Ends the program if the worker panicked: a node that renders nothing would only delay the others.
+fn end_of_worker(result: Result<(), JoinError>) {
+    if let Err(error) = result {
+        tracing::error!(
+            "tracing failed: a scene file was changed in place while it was in use, or this is a bug; start the program \
+            again, which checks the file, and put new files in the place of old ones by `mv`"
+        );
+        panic::resume_unwind(error.into_panic());
+    }
+}
 
 async fn shake_hands(
     reader: &mut MessageReader<impl AsyncRead + Unpin, ToServer>,
