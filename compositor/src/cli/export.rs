@@ -1,6 +1,6 @@
 //! Writes a wall as an MPCDI file, which other tools for projectors read.
 
-use std::{io::BufWriter, path::PathBuf, time::SystemTime};
+use std::{io::Write, path::PathBuf, time::SystemTime};
 
 use anyhow::{Context, ensure};
 use channel::files::NewFile;
@@ -98,8 +98,8 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<()> {
     });
     let cannot = || format!("cannot write {}", args.file.display());
     let out = NewFile::begin(&args.file).with_context(cannot)?;
-    archive::write(BufWriter::new(out.file()), &document.write(&date(SystemTime::now())), files)
-        .with_context(cannot)?;
+    let bytes = archive::pack(&document.write(&date(SystemTime::now())), files).with_context(cannot)?;
+    out.file().write_all(&bytes).with_context(cannot)?;
     out.finish().with_context(cannot)?;
     say(format_args!("wrote {} with {}", args.file.display(), counted(wall.projectors().len(), "region")))
 }

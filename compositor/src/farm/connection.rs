@@ -268,6 +268,8 @@ async fn converse(
             return transfer::serve(&mut reader, &mut writer, supply, scene).await;
         }
     };
+    // One that was made to wait had nothing to say.
+    heard.note();
     let outbox = Arc::new(Outbox::default());
     let pending = Arc::new(PendingTasks::default());
     reader.raise_limits(SILENCE_LIMIT);

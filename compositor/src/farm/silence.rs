@@ -38,7 +38,8 @@ impl LastHeard {
         self.since.elapsed().saturating_sub(Duration::from_nanos(self.at_ns.load(Relaxed)))
     }
 
-    fn note(&self) {
+    /// The peer is heard, or has had no reason to speak.
+    pub(super) fn note(&self) {
         self.at_ns.store(self.since.elapsed().as_nanos() as u64, Relaxed);
     }
 }

@@ -100,22 +100,18 @@ impl<R: Read + Seek> Archive<R> {
     }
 }
 
-/// Writes an archive of files by name, the document first.
+/// Packs files by name, the document first. In memory: a writer of zips that fails, as on a full disk, says so itself.
 ///
 /// # Errors
-/// Of the file that it is written to.
-pub fn write<W: Write + Seek>(
-    out: W,
-    document: &str,
-    files: impl Iterator<Item = (String, Vec<u8>)>,
-) -> zip::result::ZipResult<()> {
-    let mut zip = ZipWriter::new(out);
+/// There are more files than a zip holds.
+pub fn pack(document: &str, files: impl Iterator<Item = (String, Vec<u8>)>) -> zip::result::ZipResult<Vec<u8>> {
+    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
     let options = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
     for (name, bytes) in std::iter::once((DOCUMENT_NAMES[0].to_owned(), document.as_bytes().to_vec())).chain(files) {
         zip.start_file(name, options)?;
         zip.write_all(&bytes)?;
     }
-    Ok(zip.finish()?.flush()?)
+    Ok(zip.finish()?.into_inner())
 }
 
 #[cfg(test)]
@@ -127,11 +123,10 @@ mod tests {
     #[test]
     fn what_is_packed_is_unpacked_and_nothing_beyond_its_limit() {
         let pfm = Pfm { size: [2, 1], values: vec![[0.0, 0.25, 0.0], [1.0, 0.75, 0.0]] };
-        let mut file = Cursor::new(Vec::new());
         // A bomb: a gigabyte of zeros would be a thousandth of that.
         let files = [("Warps/a.pfm".to_owned(), pfm.write()), ("b.pfm".to_owned(), vec![0; 4 << 20])];
-        write(&mut file, "<MPCDI/>", files.into_iter()).expect("memory");
-        let mut archive = Archive::open(file).expect("a zip");
+        let packed = pack("<MPCDI/>", files.into_iter()).expect("few files");
+        let mut archive = Archive::open(Cursor::new(packed)).expect("a zip");
         assert_eq!(archive.warp("./warps/a.pfm"), Ok(pfm));
         assert_eq!(archive.unpacked("b.pfm", 1 << 20), Err("b.pfm has more than 1048576 bytes".to_owned()));
         assert_eq!(archive.warp("c.pfm"), Err("it has no file c.pfm".to_owned()));

@@ -104,7 +104,7 @@ impl Headless {
         show: Show,
         setting: &Setting,
     ) -> anyhow::Result<Report> {
-        let show = Show { repeats: false, ..show };
+        let show = show.unattended();
         let n_scenes = show.scenes.len();
         let mut playing = Playing {
             setting,

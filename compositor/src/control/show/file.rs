@@ -2,6 +2,7 @@
 
 use std::{
     fmt::{Display, Write},
+    mem,
     path::{Path, PathBuf},
     str::FromStr,
     time::Duration,
@@ -78,6 +79,20 @@ pub(crate) struct Ending {
     pub by_touch: bool,
     /// Not by time, not even that of its camera path.
     pub waits: bool,
+}
+
+impl Show {
+    /// The show where nobody is: it is played once, and scenes that wait for a touch or an order end with their path, or as soon
+    /// as they were shown.
+    pub(crate) fn unattended(mut self) -> Self {
+        self.repeats = false;
+        for scene in &mut self.scenes {
+            if mem::take(&mut scene.ending.waits) && !matches!(scene.place, Place::Path(_)) {
+                scene.ending.after = Some(Duration::ZERO);
+            }
+        }
+        self
+    }
 }
 
 /// Reads a show. The error is one line with the cure.
@@ -283,6 +298,8 @@ mod tests {
         assert_eq!(show.scenes[0].place, Place::View(3));
         assert_eq!(show.scenes[1].place, Place::Path("/shows/a.path.toml".into()));
         assert!(!show.scenes[1].ending.waits && show.scenes[2].ending.waits && show.scenes[2].ending.by_touch);
+        let unattended = show.clone().unattended();
+        assert!(!unattended.scenes[2].ending.waits && unattended.scenes[2].ending.after == Some(Duration::ZERO));
         assert_eq!(parse("").unwrap().scenes, []);
     }
 
