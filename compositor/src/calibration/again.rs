@@ -29,7 +29,7 @@ use super::{
 use crate::wall::{Projector, Wall, homography::apply};
 
 /// Projectors that are nearer than this to where the file has them, in their pixels, have not moved, and those within three
-/// times the distance that photographs leave anyway. Beyond [`LARGEST_MEDIAN_PX`], all have.
+/// times the noise of crossings. Beyond [`LARGEST_MEDIAN_PX`], all have.
 const LEAST_MOVE_PX: f64 = 0.1;
 /// See [`LEAST_MOVE_PX`].
 const USUAL_MOVE: f64 = 3.0;

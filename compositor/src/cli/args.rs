@@ -174,7 +174,7 @@ pub struct WallArgs {
     /// Render servers to start on this machine [default: 2; 0 with --listen]
     #[arg(long, help_heading = "Render servers", value_name = "N", value_parser = between(0_u32..=256))]
     pub local: Option<u32>,
-    /// Wait for this many render servers before the first frame [default: as many as --local, at least 1]
+    /// Wait for this many render servers before the first frame [default: 1, without a window as many as --local]
     #[arg(long, help_heading = "Render servers", value_name = "K", value_parser = between(1_u32..=u32::MAX))]
     pub min_renderers: Option<u32>,
     /// How frames are divided among render servers: interleaved, tiled or dynamic
