@@ -19,6 +19,7 @@ mod tests;
 use std::io::{self, BufRead, Read};
 
 use serde::Deserialize;
+use serde_json::Value;
 use shared::camera::UpAxis;
 
 use self::{
@@ -82,15 +83,19 @@ const BINARY: [u8; 4] = *b"BIN\0";
 pub fn read_binary(mut reader: impl BufRead, n_bytes: u64, companions: &Companions) -> Result<Draft, Problem> {
     let mut header = [0; 12];
     reader.read_exact(&mut header).map_err(|_| Problem::TooShort { needed: 12, n_bytes })?;
-    let [_, version, _] = header.as_chunks::<4>().0 else { return Err(Problem::TooShort { needed: 12, n_bytes }) };
+    let [_, version, n_declared] = header.as_chunks::<4>().0 else {
+        return Err(Problem::TooShort { needed: 12, n_bytes });
+    };
     let version = u32::from_le_bytes(*version);
     if version != 2 {
         return Err(Problem::Version(version.to_string()));
     }
+    let n_declared = u64::from(u32::from_le_bytes(*n_declared));
     let (mut json, mut binary) = (None, Vec::new());
     let mut n_read = 12;
     let mut chunk_header = [0; 8];
-    while binary.is_empty() && reader.read_exact(&mut chunk_header).is_ok() {
+    // Bytes after the declared ones are no chunks; some programs declare none.
+    while binary.is_empty() && n_read != n_declared && reader.read_exact(&mut chunk_header).is_ok() {
         let [length, kind] = chunk_header.as_chunks::<4>().0 else { break };
         let length = u64::from(u32::from_le_bytes(*length));
         n_read += 8 + length;
@@ -125,7 +130,14 @@ fn read_parts(json: &[u8], binary: &[u8], companions: &Companions) -> Result<Dra
     if !asset.version.starts_with("2.") {
         return Err(Problem::Version(asset.version));
     }
-    let document: Document<'_> = parse(json)?;
+    let mended;
+    let document = match parse::<Document<'_>>(json) {
+        Ok(document) => document,
+        Err(problem) => {
+            mended = mended_json(json);
+            Document::deserialize(&mended).map_err(|_| problem)?
+        }
+    };
     let mut remarks = Vec::new();
     let unknown: Vec<_> = document.extensions_required.iter().filter(|it| !KNOWN.contains(&it.as_str())).collect();
     for extension in unknown {
@@ -155,4 +167,31 @@ fn read_parts(json: &[u8], binary: &[u8], companions: &Companions) -> Result<Dra
 
 fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T, Problem> {
     serde_json::from_slice(json).map_err(|error| Problem::Document(error.to_string()))
+}
+
+/// The longest JSON that is mended: in between it takes many times its bytes.
+const LONGEST_MENDED: usize = 1 << 26;
+
+/// Below this, `f64` holds all integers.
+const EXACT: f64 = (1_u64 << 53) as f64;
+
+/// The JSON that some programs mean: integers have no `.0`, and of properties with the same name the last counts.
+fn mended_json(json: &[u8]) -> Value {
+    fn mend(value: &mut Value) {
+        match value {
+            Value::Number(number) if number.is_f64() => {
+                let whole = number.as_f64().filter(|number| number.fract() == 0.0 && number.abs() < EXACT);
+                if let Some(whole) = whole {
+                    *value = Value::from(whole as i64);
+                }
+            }
+            Value::Array(values) => values.iter_mut().for_each(mend),
+            Value::Object(values) => values.values_mut().for_each(mend),
+            _ => {}
+        }
+    }
+    let json = Some(json).filter(|json| json.len() <= LONGEST_MENDED);
+    let mut value = json.and_then(|json| serde_json::from_slice(json).ok()).unwrap_or_default();
+    mend(&mut value);
+    value
 }

@@ -8,7 +8,8 @@ use rayon::prelude::*;
 use crate::formats::{
     companions::Companions,
     file::{Draft, Reading},
-    foreign, specular,
+    foreign,
+    specular::Factors,
 };
 use crate::model::material::{Image, TextureUse};
 
@@ -20,6 +21,8 @@ const MOST_TEXELS: u64 = 1 << 29;
 /// a plain colour, so a small file cannot fill the memory.
 const LARGEST_RATIO: u64 = 4096;
 const SMALL_IMAGE: u64 = 1 << 20;
+/// A texel that changes no factor.
+const WHITE: [u8; 4] = [u8::MAX; 4];
 /// The longest file of an image.
 const LONGEST_FILE: u64 = 1 << 31;
 
@@ -50,10 +53,30 @@ pub enum Channels {
     Metallic,
     /// It is grey, and becomes roughness; another image becomes metallic.
     RoughnessAndMetallic(String),
-    /// It is diffuse, another image specular, and both make the base colour.
-    BaseColorWithSpecular(Box<ImageSource>),
-    /// It is diffuse, another image specular and glossy, and both make roughness and metallic.
-    MetalWithSpecular(Box<ImageSource>),
+    /// Diffuse and specular colours make the base colour.
+    BaseColorOfGlossy(Box<Glossy>),
+    /// Diffuse and specular colours and glossiness make roughness and metallic.
+    MetalOfGlossy(Box<Glossy>),
+}
+
+/// The diffuse and specular colours of a surface with an image.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Glossy {
+    /// What the image is.
+    pub role: Role,
+    /// They multiply images, or stand alone.
+    pub factors: Factors,
+}
+
+/// What an image is beside factors.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub enum Role {
+    /// The diffuse colour; specular colour and glossiness are in another image.
+    DiffuseBeside(ImageSource),
+    /// The diffuse colour; the other has none.
+    Diffuse,
+    /// Specular colour and glossiness; the diffuse colour has none.
+    Specular,
 }
 
 impl ImageSource {
@@ -105,18 +128,34 @@ fn decode_source(source: &ImageSource, companions: &Companions) -> Result<Image,
             let metallic = file(name)?;
             merge(&mut decoded, &metallic, |texel, of| *texel = [0, texel[0], of[0], u8::MAX]);
         }
-        Channels::BaseColorWithSpecular(specular) => {
+        Channels::BaseColorOfGlossy(glossy) => {
             // The image of metal says what is missing.
-            if let Ok(specular) = decode_source(specular, companions) {
-                merge(&mut decoded, &specular, |texel, of| *texel = specular::texels(*texel, of)[0]);
+            if convert(&mut decoded, glossy, companions, |[color, _]| color).is_err() {
+                let stone = glossy.factors.of_dielectric();
+                each(&mut decoded, |texel| stone.texels(texel, WHITE)[0]);
             }
         }
-        Channels::MetalWithSpecular(specular) => {
-            let specular = decode_source(specular, companions)?;
-            merge(&mut decoded, &specular, |texel, of| *texel = specular::texels(*texel, of)[1]);
-        }
+        Channels::MetalOfGlossy(glossy) => convert(&mut decoded, glossy, companions, |[_, metal]| metal)?,
     }
     Ok(decoded)
+}
+
+/// Keeps one of the two texels that diffuse and specular colours become. On errors, the image is as it was.
+fn convert(
+    image: &mut Image,
+    Glossy { role, factors }: &Glossy,
+    companions: &Companions,
+    kept: impl Fn([[u8; 4]; 2]) -> [u8; 4] + Sync,
+) -> Result<(), String> {
+    match role {
+        Role::DiffuseBeside(specular) => {
+            let specular = decode_source(specular, companions)?;
+            merge(image, &specular, |texel, of| *texel = kept(factors.texels(*texel, of)));
+        }
+        Role::Diffuse => each(image, |texel| kept(factors.texels(texel, WHITE))),
+        Role::Specular => each(image, |texel| kept(factors.texels(WHITE, texel))),
+    }
+    Ok(())
 }
 
 fn each(image: &mut Image, change: impl Fn([u8; 4]) -> [u8; 4] + Sync) {
@@ -327,8 +366,16 @@ mod tests {
         std::fs::write(folder.path().join("other.png"), png(2, 1)).unwrap();
         let companions = Companions::beside(&folder.path().join("model.obj"));
         let other = || "other.png".to_owned();
-        let specular = || Box::new(ImageSource::file("other.png"));
-        let missing = || Box::new(ImageSource::file("no.png"));
+        let factors = Factors::new([1.0; 3], [1.0; 3], 1.0);
+        let beside = |name: &str| Box::new(Glossy { role: Role::DiffuseBeside(ImageSource::file(name)), factors });
+        let gold = || {
+            let factors = Factors::new([0.0; 3], [1.0, 0.5, 0.25], 0.5);
+            Box::new(Glossy { role: Role::Diffuse, factors })
+        };
+        let dark = || {
+            let factors = Factors::new([0.0; 3], [1.0; 3], 0.0);
+            Box::new(Glossy { role: Role::Specular, factors })
+        };
         for (channels, channel, expected) in [
             (Channels::Coverage(other()), 3, [0, 0, 100, 100, 0, 0, 100, 100]),
             (Channels::Roughness, 1, [0, 100, 200, 44, 1, 101, 201, 45]),
@@ -337,10 +384,16 @@ mod tests {
             (Channels::Metallic, 2, [0, 100, 200, 44, 1, 101, 201, 45]),
             (Channels::RoughnessAndMetallic(other()), 1, [0, 100, 200, 44, 1, 101, 201, 45]),
             (Channels::RoughnessAndMetallic(other()), 2, [0, 0, 100, 100, 0, 0, 100, 100]),
-            (Channels::MetalWithSpecular(specular()), 2, [0, 0, 39, 214, 0, 0, 38, 213]),
-            (Channels::MetalWithSpecular(specular()), 1, [0; 8]),
-            (Channels::BaseColorWithSpecular(specular()), 0, [0, 102, 206, 106, 1, 103, 207, 106]),
-            (Channels::BaseColorWithSpecular(missing()), 0, [0, 100, 200, 44, 1, 101, 201, 45]),
+            (Channels::MetalOfGlossy(beside("other.png")), 2, [0, 0, 39, 214, 0, 0, 38, 213]),
+            (Channels::MetalOfGlossy(beside("other.png")), 1, [0; 8]),
+            (Channels::BaseColorOfGlossy(beside("other.png")), 0, [0, 102, 206, 106, 1, 103, 207, 106]),
+            (Channels::BaseColorOfGlossy(beside("no.png")), 0, [0, 100, 200, 44, 1, 101, 201, 45]),
+            // All light is reflected, whatever the diffuse texel is.
+            (Channels::BaseColorOfGlossy(gold()), 1, [188; 8]),
+            (Channels::MetalOfGlossy(gold()), 1, [127; 8]),
+            (Channels::MetalOfGlossy(gold()), 2, [255; 8]),
+            (Channels::MetalOfGlossy(dark()), 1, [255; 8]),
+            (Channels::BaseColorOfGlossy(dark()), 3, [255; 8]),
         ] {
             let image = decode_source(&ImageSource { channels, ..embedded(png(4, 2)) }, &companions).unwrap();
             let found: Vec<u8> = image.texels.iter().map(|texel| texel[channel]).collect();

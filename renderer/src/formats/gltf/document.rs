@@ -73,6 +73,8 @@ pub(super) struct Node {
     pub(super) translation: Option<Box<[f64; 3]>>,
     pub(super) rotation: Option<Box<[f64; 4]>>,
     pub(super) scale: Option<Box<[f64; 3]>>,
+    /// Instead of those of its mesh.
+    pub(super) weights: Option<Box<[f64]>>,
     #[serde(default)]
     pub(super) extensions: NodeExtensions,
 }
@@ -301,6 +303,8 @@ pub(super) struct MaterialExtensions {
     pub(super) unlit: Option<IgnoredAny>,
     #[serde(rename = "KHR_materials_emissive_strength")]
     pub(super) emissive_strength: Option<EmissiveStrength>,
+    #[serde(rename = "KHR_materials_transmission")]
+    pub(super) transmission: Option<Transmission>,
 }
 
 #[derive(Deserialize)]
@@ -308,6 +312,7 @@ pub(super) struct MaterialExtensions {
 pub(super) struct SpecularGlossiness {
     pub(super) diffuse_factor: Option<[f32; 4]>,
     pub(super) diffuse_texture: Option<TextureInfo>,
+    pub(super) specular_factor: Option<[f32; 3]>,
     pub(super) glossiness_factor: Option<f32>,
     pub(super) specular_glossiness_texture: Option<TextureInfo>,
 }
@@ -316,6 +321,13 @@ pub(super) struct SpecularGlossiness {
 #[serde(rename_all = "camelCase")]
 pub(super) struct EmissiveStrength {
     pub(super) emissive_strength: Option<f32>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Transmission {
+    #[serde(default)]
+    pub(super) transmission_factor: f32,
 }
 
 #[derive(Deserialize)]

@@ -21,6 +21,11 @@ impl Geometry {
         Ok(Self(mesh))
     }
 
+    /// How many points and corners it has.
+    pub(super) fn n_elements(&self) -> u64 {
+        (self.0.num_points() + 3 * self.0.num_faces()) as u64
+    }
+
     /// The numbers of an attribute. The accessor says whether its integers are from −1 or 0 to 1.
     pub(super) fn attribute(&self, number: u32, accessor: Option<&Accessor>) -> Result<Elements<'static>, String> {
         let attribute = self.0.attribute_by_unique_id(number).ok_or_else(|| format!("it has no attribute {number}"))?;

@@ -12,7 +12,7 @@ use crate::formats::{
         Problem,
         accessor::Elements,
         buffers::Buffers,
-        document::{Document, Kind, Primitive},
+        document::{AlphaMode, Document, Kind, Primitive},
         draco,
         look::Look,
         nodes::Instance,
@@ -24,6 +24,8 @@ use crate::model::normal::Normal;
 const FAR: f64 = 1024.0;
 /// Triangles that copies of meshes may add up to, if the file has fewer bytes.
 const MOST_COPIES: u64 = 1 << 25;
+/// A primitive without elements takes about as long as this many.
+const ELEMENTS_OF_PRIMITIVE: u64 = 16;
 
 /// The mesh so far.
 pub(super) struct Geometry<'a> {
@@ -35,8 +37,8 @@ pub(super) struct Geometry<'a> {
     of_triangles: Vec<u16>,
     /// How many nodes have each mesh.
     n_uses: HashMap<usize, usize>,
-    /// Decompressed primitives of meshes that come again.
-    decompressed: HashMap<(usize, usize), Result<draco::Geometry, String>>,
+    /// Decompressed views of meshes that come again, and those that are damaged.
+    decompressed: HashMap<usize, Result<draco::Geometry, String>>,
     /// Why something was left out, and how often.
     faults: BTreeMap<String, usize>,
     /// Elements that were gone through, and their limit: nodes can repeat a mesh without end.
@@ -52,6 +54,8 @@ struct Attributes<'a> {
     colors: Option<Elements<'a>>,
     joints: Option<(Elements<'a>, Elements<'a>)>,
     indices: Option<Elements<'a>>,
+    /// Why attributes are left out that it could do without.
+    faults: Vec<String>,
 }
 
 impl<'a> Geometry<'a> {
@@ -84,26 +88,27 @@ impl<'a> Geometry<'a> {
             self.note(format!("there is no mesh {}", instance.mesh));
             return Ok(());
         };
-        if mesh.weights.iter().any(|&weight| weight != 0.0) {
+        if instance.is_blended {
             self.note("a shape that is blended with others is shown without them".to_owned());
         }
-        for (index, primitive) in mesh.primitives.iter().enumerate() {
-            self.n_elements += 1;
+        for primitive in &mesh.primitives {
+            self.count(ELEMENTS_OF_PRIMITIVE)?;
             if !(4..=6).contains(&primitive.mode) {
                 self.note("points and lines are left out: a point cloud must be meshed first".to_owned());
                 continue;
             }
-            if let Err(fault) = self.decompress((instance.mesh, index), primitive) {
+            let view = primitive.extensions.draco.as_deref().map(|compressed| compressed.buffer_view);
+            if let Some(Err(fault)) = view.map(|view| self.decompress(view)) {
                 self.note(format!("a mesh is left out: {fault}"));
                 continue;
             }
-            let draco = self.decompressed.remove(&(instance.mesh, index));
+            let draco = view.and_then(|view| self.decompressed.remove(&view));
             let added = match &draco {
                 Some(Ok(draco)) => self.add_primitive(primitive, Some(draco), instance),
                 _ => self.add_primitive(primitive, None, instance),
             };
-            if let Some(draco) = draco.filter(|_| self.n_uses.get(&instance.mesh).is_some_and(|&n| n > 1)) {
-                self.decompressed.insert((instance.mesh, index), draco);
+            if self.n_uses.get(&instance.mesh).is_some_and(|&n| n > 1) {
+                self.decompressed.extend(view.zip(draco));
             }
             if let Err(fault) = added? {
                 self.note(format!("a mesh is left out: {fault}"));
@@ -112,20 +117,53 @@ impl<'a> Geometry<'a> {
         Ok(())
     }
 
+    /// Counts elements before they are gone through, also in vain.
+    fn count(&mut self, n: u64) -> Result<(), Problem> {
+        self.n_elements += n;
+        match self.n_elements > self.most_elements.saturating_mul(4) {
+            true => Err(Problem::TooManyCopies(self.most_elements)),
+            false => Ok(()),
+        }
+    }
+
     fn note(&mut self, fault: String) {
         *self.faults.entry(fault).or_default() += 1;
     }
 
-    /// Decompresses a primitive, unless it is not compressed, or was decompressed before.
-    fn decompress(&mut self, place: (usize, usize), primitive: &Primitive) -> Result<(), String> {
-        let Some(compressed) = primitive.extensions.draco.as_deref() else { return Ok(()) };
+    /// Decompresses a view, unless that was done before.
+    fn decompress(&mut self, view: usize) -> Result<(), String> {
         let (document, buffers) = (self.document, self.buffers);
         let decode = || {
-            let (bytes, _) = buffers.view(document, compressed.buffer_view)?;
+            let (bytes, _) = buffers.view(document, view)?;
+            // Damaged bytes take time too.
+            self.n_elements += bytes.len() as u64;
             draco::Geometry::decode(bytes, self.most_elements.saturating_sub(self.n_elements))
         };
-        let decoded = self.decompressed.entry(place).or_insert_with(decode);
+        let decoded = self.decompressed.entry(view).or_insert_with(decode);
         decoded.as_ref().map(drop).map_err(Clone::clone)
+    }
+
+    /// The elements that are gone through to read a primitive, whether or not it can be used.
+    fn n_elements_of(&self, primitive: &Primitive, draco: Option<&draco::Geometry>) -> u64 {
+        // An accessor may claim more than the file can hold.
+        let held = |count: usize| count.min(self.buffers.n_bytes) as u64;
+        let accessor = |index: &usize| self.document.accessors.get(*index);
+        let is_compressed = |name: &String| {
+            let compressed = primitive.extensions.draco.as_deref().filter(|_| draco.is_some());
+            compressed.is_some_and(|compressed| compressed.attributes.contains_key(name))
+        };
+        let indices = primitive.indices.as_ref().filter(|_| draco.is_none());
+        let attributes = primitive.attributes.iter().filter(|(name, _)| !is_compressed(name));
+        let mut n = primitive.attributes.len() as u64 + draco.map_or(0, draco::Geometry::n_elements);
+        for (is_whole, index) in
+            attributes.map(|(name, index)| (name == "POSITION", index)).chain(indices.map(|index| (true, index)))
+        {
+            let Some(accessor) = accessor(index) else { continue };
+            let is_copied = accessor.sparse.is_some() || accessor.buffer_view.is_none();
+            n += held(accessor.count) * (u64::from(is_whole) + u64::from(is_copied));
+            n += accessor.sparse.as_ref().map_or(0, |sparse| held(sparse.count));
+        }
+        n
     }
 
     /// Adds a primitive. The inner error is a fault of it alone.
@@ -135,16 +173,20 @@ impl<'a> Geometry<'a> {
         draco: Option<&draco::Geometry>,
         instance: &Instance,
     ) -> Result<Result<(), String>, Problem> {
+        self.count(self.n_elements_of(primitive, draco))?;
         let set = self.look.texture_set(primitive.material);
         let attributes = match self.attributes(primitive, draco, set) {
             Ok(attributes) => attributes,
             Err(fault) => return Ok(Err(fault)),
         };
+        for fault in &attributes.faults {
+            self.note(fault.clone());
+        }
         let n_positions = attributes.positions.count;
-        let n_corners = attributes.indices.as_ref().map_or(n_positions, |indices| indices.count);
-        self.n_elements += (n_positions + n_corners) as u64;
-        if self.n_elements > self.most_elements.saturating_mul(4) {
-            return Err(Problem::TooManyCopies(self.most_elements));
+        if self.has_gaps(primitive)
+            && attributes.colors.as_ref().is_some_and(|colors| has_coverage(colors, n_positions))
+        {
+            self.note("the coverage of vertices' colours is left out".to_owned());
         }
         let indices = attributes.indices.as_ref().map(Elements::indices);
         let vertices = UsedVertices::new(indices.as_deref(), n_positions);
@@ -189,8 +231,19 @@ impl<'a> Geometry<'a> {
         };
         let positions = read("POSITION", &[Kind::Vec3])?.ok_or("it has no positions")?;
         let n_positions = positions.count;
-        let enough = |elements: &Elements<'_>| elements.count >= n_positions;
-        let optional = |name: &str, kinds: &[Kind]| read(name, kinds).ok().flatten().filter(enough);
+        let mut faults = Vec::new();
+        let mut optional = |name: &str, kinds: &[Kind]| {
+            let elements = read(name, kinds).and_then(|elements| match elements {
+                Some(Elements { count, .. }) if count < n_positions => {
+                    Err(format!("it has {count} elements for {n_positions} vertices"))
+                }
+                elements => Ok(elements),
+            });
+            elements.unwrap_or_else(|fault| {
+                faults.push(format!("{name} of a mesh is left out: {fault}"));
+                None
+            })
+        };
         let indices = match draco {
             Some(draco) => Some(draco.indices()),
             None => primitive
@@ -205,7 +258,14 @@ impl<'a> Geometry<'a> {
             joints: optional("JOINTS_0", &[Kind::Vec4]).zip(optional("WEIGHTS_0", &[Kind::Vec4])),
             positions,
             indices,
+            faults,
         })
+    }
+
+    /// Whether a primitive's material is not there, or not wholly, where its coverage is low.
+    fn has_gaps(&self, primitive: &Primitive) -> bool {
+        let material = primitive.material.and_then(|index| self.document.materials.get(index));
+        material.is_some_and(|material| material.alpha_mode != AlphaMode::Opaque)
     }
 
     fn add_vertices(
@@ -344,6 +404,11 @@ impl UsedVertices {
             None => Some(vertex).filter(|&vertex| (vertex as usize) < self.n),
         }
     }
+}
+
+/// Whether the first `n` colours have a coverage, which somewhere is not whole.
+fn has_coverage(colors: &Elements<'_>, n: usize) -> bool {
+    colors.has_numbers_of(&[Kind::Vec4]) && (0..n).any(|vertex| colors.get::<4>(vertex)[3] < 1.0)
 }
 
 /// The matrix that turns normals: the inverse transpose, times a factor of the determinant's sign, even if there is none.

@@ -6,14 +6,19 @@ use crate::formats::{
     file::Draft,
     gltf::{
         buffers::{Buffers, data_of, file_name},
-        document::{AlphaMode, Document, Material as Described, TextureInfo},
+        document::{
+            AlphaMode, Document, Image, Material as Described, MetallicRoughness, SpecularGlossiness, TextureInfo,
+        },
     },
-    images::{Channels, ImageSource},
+    images::{Channels, Glossy, ImageSource, Role},
+    specular::Factors,
 };
 use crate::model::material::{Material, TextureUse, Wrap};
 
 /// Where a blended surface is half there, it is there.
 const BLEND_CUTOFF: f32 = 0.5;
+/// How often an image may become part of others: as with several factors for one atlas.
+const MOST_PARTS: usize = 4;
 
 /// The materials that triangles use.
 pub(super) struct Look<'a> {
@@ -23,11 +28,30 @@ pub(super) struct Look<'a> {
     /// The number of each material of the document that is used.
     numbers: HashMap<usize, u16>,
     images: Vec<ImageSource>,
-    image_numbers: HashMap<usize, u32>,
-    /// For a diffuse and a specular image: both, and the first of the two images that they become.
-    metals: HashMap<u32, ([u32; 2], u32)>,
+    /// The number of each image of the document that is used, if it is there.
+    image_numbers: HashMap<usize, Option<u32>>,
+    /// The same by its place: the document may list an image again and again.
+    of_places: HashMap<Place<'a>, Option<u32>>,
+    /// Bytes of buffers that are not in images yet.
+    n_bytes_left: usize,
+    /// The first of the two images that diffuse and specular images become.
+    metals: HashMap<GlossyImages, u32>,
+    /// How often an image has become part of others.
+    n_parts: HashMap<u32, usize>,
     remarks: Vec<String>,
     said: HashSet<String>,
+}
+
+/// The images of a diffuse and a specular colour, and the factors that change them.
+type GlossyImages = ([Option<u32>; 2], Factors);
+
+/// Where an image's bytes are.
+#[derive(PartialEq, Eq, Hash)]
+enum Place<'a> {
+    /// In a URI, or in the file that it names.
+    Uri(&'a str),
+    /// In a buffer, from an offset on, and how many.
+    Bytes { buffer: usize, start: usize, n: usize },
 }
 
 impl<'a> Look<'a> {
@@ -39,7 +63,10 @@ impl<'a> Look<'a> {
             numbers: HashMap::new(),
             images: Vec::new(),
             image_numbers: HashMap::new(),
+            of_places: HashMap::new(),
+            n_bytes_left: buffers.n_bytes,
             metals: HashMap::new(),
+            n_parts: HashMap::new(),
             remarks: Vec::new(),
             said: HashSet::new(),
         }
@@ -74,43 +101,28 @@ impl<'a> Look<'a> {
     fn material(&mut self, described: &Described) -> Material {
         let name = described.name.clone();
         let set = first_texture(described).map_or(0, TextureInfo::set);
-        let texture = |look: &mut Self, info: Option<&TextureInfo>| info.and_then(|info| look.texture(info, set));
-        let unit = |value: Option<f32>| value.unwrap_or(1.0).clamp(0.0, 1.0);
-        let rough = &*described.pbr_metallic_roughness;
         let extensions = &described.extensions;
         let is_unlit = extensions.unlit.is_some();
-        let (base_color, mut base_color_texture, mut metallic, roughness, metallic_roughness_texture);
-        if let Some(glossy) = extensions.specular_glossiness.as_deref() {
-            base_color = glossy.diffuse_factor;
-            base_color_texture = texture(self, glossy.diffuse_texture.as_ref());
-            let specular = texture(self, glossy.specular_glossiness_texture.as_ref());
-            metallic_roughness_texture = base_color_texture.as_mut().zip(specular).and_then(|both| self.metal(both));
-            (metallic, roughness) = match metallic_roughness_texture {
-                Some(_) => (1.0, 1.0),
-                None => (0.0, 1.0 - unit(glossy.glossiness_factor)),
-            };
-        } else {
-            base_color = rough.base_color_factor;
-            base_color_texture = texture(self, rough.base_color_texture.as_ref());
-            (metallic, roughness) =
-                if is_unlit { (0.0, 1.0) } else { (unit(rough.metallic_factor), unit(rough.roughness_factor)) };
-            metallic_roughness_texture = texture(self, rough.metallic_roughness_texture.as_ref().filter(|_| !is_unlit));
-        }
+        let surface = match extensions.specular_glossiness.as_deref() {
+            Some(glossy) => self.glossy(glossy, set, is_unlit),
+            None => self.rough(&described.pbr_metallic_roughness, set, is_unlit),
+        };
         let strength = extensions.emissive_strength.as_ref().and_then(|it| it.emissive_strength).unwrap_or(1.0);
         let emissive = described.emissive_factor.filter(|_| !is_unlit).unwrap_or([0.0; 3]);
         let mut emissive = emissive.map(|part| part.max(0.0) * strength.max(0.0));
-        let emissive_texture = texture(self, described.emissive_texture.as_deref().filter(|_| emissive != [0.0; 3]));
+        let emissive_info = described.emissive_texture.as_deref().filter(|_| emissive != [0.0; 3]);
+        let emissive_texture = emissive_info.and_then(|info| self.texture(info, set));
         // Factors beside a texture are mostly 1: alone they say little.
         if described.emissive_texture.is_some() && emissive_texture.is_none() {
             emissive = [0.0; 3];
-        }
-        if rough.metallic_roughness_texture.is_some() && metallic_roughness_texture.is_none() {
-            metallic = 0.0;
         }
         if is_unlit {
             self.say("its unlit materials keep their colours in any light".to_owned());
         } else if described.normal_texture.is_some() {
             self.say("textures of normals are left out: light falls by the normals of vertices".to_owned());
+        }
+        if extensions.transmission.as_ref().is_some_and(|glass| glass.transmission_factor > 0.0) {
+            self.say(format!("material `{name}` lets light through: it is shown opaque"));
         }
         let alpha_cutoff = match described.alpha_mode {
             AlphaMode::Opaque => None,
@@ -120,17 +132,62 @@ impl<'a> Look<'a> {
                 Some(BLEND_CUTOFF)
             }
         };
+        Material { name, emissive, emissive_texture, alpha_cutoff, is_unlit, ..surface }
+    }
+
+    /// Base colour, roughness and metallic as glTF itself describes them.
+    fn rough(&mut self, rough: &MetallicRoughness, set: u32, is_unlit: bool) -> Material {
+        let base_color_texture = rough.base_color_texture.as_ref().and_then(|info| self.texture(info, set));
+        let info = rough.metallic_roughness_texture.as_ref().filter(|_| !is_unlit);
+        let metallic_roughness_texture = info.and_then(|info| self.texture(info, set));
+        // A factor says little without its texture.
+        let is_lost = info.is_some() && metallic_roughness_texture.is_none();
         Material {
-            name,
-            base_color: base_color.unwrap_or([1.0; 4]).map(|part| part.clamp(0.0, 1.0)),
+            base_color: rough.base_color_factor.unwrap_or([1.0; 4]).map(|part| part.clamp(0.0, 1.0)),
             base_color_texture,
+            metallic: if is_unlit || is_lost { 0.0 } else { unit(rough.metallic_factor) },
+            roughness: if is_unlit { 1.0 } else { unit(rough.roughness_factor) },
+            metallic_roughness_texture,
+            ..Material::default()
+        }
+    }
+
+    /// Those that diffuse and specular colours become.
+    fn glossy(&mut self, glossy: &SpecularGlossiness, set: u32, is_unlit: bool) -> Material {
+        let diffuse_texture = glossy.diffuse_texture.as_ref().and_then(|info| self.texture(info, set));
+        let info = glossy.specular_glossiness_texture.as_ref().filter(|_| !is_unlit);
+        let specular_texture = info.and_then(|info| self.texture(info, set));
+        let [red, green, blue, coverage] = glossy.diffuse_factor.unwrap_or([1.0; 4]);
+        let coverage = coverage.clamp(0.0, 1.0);
+        let roughness = 1.0 - unit(glossy.glossiness_factor);
+        // Glossiness without a texture is the material's roughness: its images have all of that.
+        let (glossiness, roughness_of_images) =
+            if specular_texture.is_some() { (1.0 - roughness, 1.0) } else { (0.0, roughness) };
+        let mut factors = Factors::new([red, green, blue], glossy.specular_factor.unwrap_or([1.0; 3]), glossiness);
+        // A factor says little without its texture, and an unlit surface reflects nothing.
+        if is_unlit || info.is_some() && specular_texture.is_none() {
+            factors = factors.of_dielectric();
+        }
+        if specular_texture.is_some() || diffuse_texture.is_some() && !factors.is_dielectric() {
+            if let Some([color, metal]) = self.metal([diffuse_texture, specular_texture], factors) {
+                return Material {
+                    base_color: [1.0, 1.0, 1.0, coverage],
+                    base_color_texture: Some(color),
+                    metallic: 1.0,
+                    roughness: roughness_of_images,
+                    metallic_roughness_texture: Some(metal),
+                    ..Material::default()
+                };
+            }
+            factors = factors.of_dielectric();
+        }
+        let ([red, green, blue], metallic) = factors.convert();
+        Material {
+            base_color: [red, green, blue, coverage],
+            base_color_texture: diffuse_texture,
             metallic,
             roughness,
-            metallic_roughness_texture,
-            emissive,
-            emissive_texture,
-            alpha_cutoff,
-            is_unlit,
+            ..Material::default()
         }
     }
 
@@ -159,48 +216,86 @@ impl<'a> Look<'a> {
         Some(TextureUse { image, wrap, transform: transform(info) })
     }
 
-    /// Gives the base colour of a diffuse and a specular texture to the diffuse one; returns that of roughness and metallic.
+    /// The textures of the base colour, and of roughness and metallic, that a diffuse and a specular texture become.
     ///
-    /// An image has a part in one pair alone: a few images must not become thousands.
-    fn metal(&mut self, (diffuse, specular): (&mut TextureUse, TextureUse)) -> Option<TextureUse> {
-        let pair = [diffuse.image, specular.image];
-        let first = match pair.iter().find_map(|image| self.metals.get(image)) {
-            Some(&(other, first)) if other == pair => first,
-            Some(_) => {
+    /// An image has a part in [`MOST_PARTS`] such pairs: a few images must not become thousands.
+    fn metal(&mut self, textures: [Option<TextureUse>; 2], factors: Factors) -> Option<[TextureUse; 2]> {
+        let images = textures.map(|texture| texture.map(|texture| texture.image));
+        let glossy = (images, factors);
+        let parts = || images.into_iter().flatten();
+        let first = match self.metals.get(&glossy) {
+            Some(&first) => first,
+            None if parts().any(|image| self.n_parts.get(&image) == Some(&MOST_PARTS)) => {
                 self.say("a texture of reflections that belongs to several others is left out".to_owned());
                 return None;
             }
             None => {
-                let [source, other] = pair.map(|image| self.images[image as usize].clone());
+                let source = |image: u32| self.images[image as usize].clone();
+                let (source, role) = match images.map(|image| image.map(source)) {
+                    [Some(diffuse), Some(specular)] => (diffuse, Role::DiffuseBeside(specular)),
+                    [Some(diffuse), None] => (diffuse, Role::Diffuse),
+                    [None, Some(specular)] => (specular, Role::Specular),
+                    [None, None] => return None,
+                };
                 let first = self.images.len() as u32;
-                for channels in [Channels::BaseColorWithSpecular, Channels::MetalWithSpecular] {
-                    self.images.push(ImageSource { channels: channels(Box::new(other.clone())), ..source.clone() });
+                for channels in [Channels::BaseColorOfGlossy, Channels::MetalOfGlossy] {
+                    let channels = channels(Box::new(Glossy { role: role.clone(), factors }));
+                    self.images.push(ImageSource { channels, ..source.clone() });
                 }
-                self.metals.extend(pair.map(|image| (image, (pair, first))));
+                self.metals.insert(glossy, first);
+                parts().for_each(|image| *self.n_parts.entry(image).or_default() += 1);
                 first
             }
         };
-        diffuse.image = first;
-        Some(TextureUse { image: first + 1, ..*diffuse })
+        let [diffuse, specular] = textures;
+        let texture = diffuse.or(specular)?;
+        Some([first, first + 1].map(|image| TextureUse { image, ..texture }))
     }
 
+    /// The number of an image of the document; `None` if it has none that can be had.
     fn image(&mut self, index: usize) -> Option<u32> {
         if let Some(&number) = self.image_numbers.get(&index) {
-            return Some(number);
+            return number;
         }
         let image = self.document.images.get(index)?;
-        let source = match (image.uri.as_deref(), image.buffer_view) {
-            (Some(uri), _) => match uri.strip_prefix("data:") {
-                Some(data) => embedded(index, data_of(data).ok()?),
-                None => ImageSource::file(file_name(uri)),
-            },
-            (None, Some(view)) => embedded(index, self.buffers.view(self.document, view).ok()?.0.to_vec()),
+        let place = match (image.uri.as_deref(), image.buffer_view) {
+            (Some(uri), _) => Place::Uri(uri),
+            (None, Some(view)) => {
+                let view = self.document.buffer_views.get(view)?;
+                Place::Bytes { buffer: view.buffer, start: view.byte_offset, n: view.byte_length }
+            }
             (None, None) => return None,
         };
-        let number = self.images.len() as u32;
-        self.images.push(source);
+        let number = match self.of_places.get(&place) {
+            Some(&number) => number,
+            None => {
+                let number = self.image_source(index, image).map(|source| {
+                    self.images.push(source);
+                    self.images.len() as u32 - 1
+                });
+                self.of_places.insert(place, number);
+                number
+            }
+        };
         self.image_numbers.insert(index, number);
-        Some(number)
+        number
+    }
+
+    fn image_source(&mut self, index: usize, image: &Image<'_>) -> Option<ImageSource> {
+        if let Some(uri) = image.uri.as_deref() {
+            return match uri.strip_prefix("data:") {
+                Some(data) => Some(embedded(index, data_of(data).ok()?)),
+                None => Some(ImageSource::file(file_name(uri))),
+            };
+        }
+        let (bytes, _) = self.buffers.view(self.document, image.buffer_view?).ok()?;
+        // Images do not share bytes, so all of them together have no more than the file.
+        let Some(n_left) = self.n_bytes_left.checked_sub(bytes.len()) else {
+            self.say("images share their bytes: export the model again".to_owned());
+            return None;
+        };
+        self.n_bytes_left = n_left;
+        Some(embedded(index, bytes.to_vec()))
     }
 
     /// Gives a draft the materials, and says what was left out. `of_triangles` holds 0 for no material, or its number plus 1.
@@ -253,11 +348,16 @@ fn drop_unused(materials: &mut [Material], images: &mut Vec<ImageSource>) {
 /// The texture whose coordinates a mesh keeps.
 fn first_texture(material: &Described) -> Option<&TextureInfo> {
     let rough = &material.pbr_metallic_roughness;
-    let glossy = material.extensions.specular_glossiness.as_deref().and_then(|glossy| glossy.diffuse_texture.as_ref());
-    glossy
-        .or(rough.base_color_texture.as_ref())
-        .or(rough.metallic_roughness_texture.as_ref())
-        .or(material.emissive_texture.as_deref())
+    let [first, second] = match material.extensions.specular_glossiness.as_deref() {
+        Some(glossy) => [&glossy.diffuse_texture, &glossy.specular_glossiness_texture],
+        None => [&rough.base_color_texture, &rough.metallic_roughness_texture],
+    };
+    first.as_ref().or(second.as_ref()).or(material.emissive_texture.as_deref())
+}
+
+/// A factor, which is 1 if the file has none.
+fn unit(factor: Option<f32>) -> f32 {
+    factor.unwrap_or(1.0).clamp(0.0, 1.0)
 }
 
 fn embedded(index: usize, bytes: Vec<u8>) -> ImageSource {

@@ -21,6 +21,8 @@ pub(super) struct Instance {
     pub(super) transform: DMat4,
     /// For a mesh that bends with a skeleton, the transform of each joint: vertices weigh these instead.
     pub(super) joints: Vec<DMat4>,
+    /// Whether it is blended with other shapes.
+    pub(super) is_blended: bool,
 }
 
 /// The meshes of the scene in the order of its nodes, each node once.
@@ -33,12 +35,15 @@ pub(super) fn instances(document: &Document<'_>, buffers: &Buffers<'_>, remarks:
     let mut has_skins = false;
     let mut n_left = MOST_COPIES;
     for node in order {
-        let Node { mesh: Some(mesh), skin, ref extensions, .. } = document.nodes[node] else { continue };
+        let Node { mesh: Some(mesh), skin, ref weights, ref extensions, .. } = document.nodes[node] else { continue };
+        let of_mesh = || document.meshes.get(mesh).map(|mesh| &*mesh.weights);
+        let weights = weights.as_deref().or_else(of_mesh).unwrap_or_default();
+        let is_blended = weights.iter().any(|&weight| weight != 0.0);
         if let Some(described) = &extensions.copies {
             match copies(document, buffers, &described.attributes, &mut n_left) {
                 Ok(copies) => instances.extend(copies.into_iter().map(|copy| {
                     let transform = transforms[node] * copy;
-                    Instance { mesh, transform, joints: Vec::new() }
+                    Instance { mesh, transform, joints: Vec::new(), is_blended }
                 })),
                 Err(fault) => remarks.push(format!("copies of a mesh are left out: {fault}")),
             }
@@ -46,7 +51,7 @@ pub(super) fn instances(document: &Document<'_>, buffers: &Buffers<'_>, remarks:
         }
         let joints = skin.map(|skin| joints(document, buffers, &transforms, skin)).unwrap_or_default();
         has_skins |= skin.is_some();
-        instances.push(Instance { mesh, transform: transforms[node], joints });
+        instances.push(Instance { mesh, transform: transforms[node], joints, is_blended });
     }
     if has_skins {
         remarks.push("its skeletons are shown at rest".to_owned());

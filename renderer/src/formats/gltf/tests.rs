@@ -4,8 +4,11 @@ use glam::Vec3;
 use proptest::prelude::*;
 
 use super::*;
-use crate::formats::images::{Channels, ImageSource};
-use crate::model::material::{TextureUse, Wrap};
+use crate::formats::{
+    images::{Channels, Glossy, ImageSource, Role},
+    specular::Factors,
+};
+use crate::model::material::{Material, TextureUse, Wrap};
 
 /// A square of 0, 1, 2 and 3 in positions, then indices 0 1 2 2 1 3 as bytes, then texture coordinates in sixteen bits.
 fn square() -> Vec<u8> {
@@ -176,31 +179,199 @@ fn diffuse_and_specular_images_become_base_colour_and_metal() {
     let material = &both.mesh.materials.materials[0];
     let image = |texture: Option<TextureUse>| both.images[texture.unwrap().image as usize].clone();
     let diffuse = ImageSource::file("d.png");
-    let specular = || Box::new(ImageSource::file("s.png"));
-    let channels = Channels::BaseColorWithSpecular(specular());
+    let factors = Factors::new([1.0; 3], [1.0; 3], 0.25);
+    let glossy_images = || Box::new(Glossy { role: Role::DiffuseBeside(ImageSource::file("s.png")), factors });
+    let channels = Channels::BaseColorOfGlossy(glossy_images());
     assert_eq!(image(material.base_color_texture), ImageSource { channels, ..diffuse.clone() });
-    let channels = Channels::MetalWithSpecular(specular());
+    let channels = Channels::MetalOfGlossy(glossy_images());
     assert_eq!(image(material.metallic_roughness_texture), ImageSource { channels, ..diffuse.clone() });
     assert_eq!((material.metallic, material.roughness, both.images.len()), (1.0, 1.0, 2));
-    // Each image has a part in one pair alone.
-    let three = [1, 1, 2].map(|diffuse| {
-        let glossy = glossy(&format!(r#","specularGlossinessTexture":{}"#, texture(0)));
-        glossy.replace(r#"diffuseTexture":{"index":1}"#, &format!(r#"diffuseTexture":{}"#, texture(diffuse)))
+    // Materials share what their images become; an image has a part in four pairs alone.
+    let six = [(1, 1.0), (1, 1.0), (2, 1.0), (1, 0.5), (1, 0.25), (1, 0.125)].map(|(diffuse, factor)| {
+        let more = format!(r#","specularFactor":[1,1,{factor}],"specularGlossinessTexture":{}"#, texture(0));
+        glossy(&more).replace(r#""diffuseTexture":{"index":1}"#, &format!(r#""diffuseTexture":{}"#, texture(diffuse)))
     });
     let images = images.replace(r#""textures":["#, r#""textures":[{"source":0},{"source":1},{"source":2}],"unused":["#);
     let images = images.replace(r#"{"uri":"d.png"}"#, r#"{"uri":"d.png"},{"uri":"e.png"}"#);
-    let primitives = [0, 1, 2].map(|material| PRIMITIVE.replacen('{', &format!(r#"{{"material":{material},"#), 1));
-    let three = self::draft(&format!(
+    let primitives =
+        [0, 1, 2, 3, 4, 5].map(|material| PRIMITIVE.replacen('{', &format!(r#"{{"material":{material},"#), 1));
+    let six = self::draft(&format!(
         r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{}]}}],"materials":[{}]{images}"#,
         primitives.join(","),
-        three.join(",")
+        six.join(",")
     ));
-    let metallic: Vec<_> = three.mesh.materials.materials.iter().map(|material| material.metallic).collect();
-    assert_eq!((metallic.as_slice(), three.images.len()), (&[1.0, 1.0, 0.0][..], 3));
-    assert_eq!(three.remarks, ["a texture of reflections that belongs to several others is left out"]);
-    let alone = draft("");
+    let images = |material: &Material| {
+        [material.base_color_texture, material.metallic_roughness_texture].map(|it| it.map(|texture| texture.image))
+    };
+    let images: Vec<_> = six.mesh.materials.materials.iter().map(images).collect();
+    let pair = |first| [Some(first), Some(first + 1)];
+    // The last one shows its diffuse image, the first of all.
+    assert_eq!(images, [pair(1), pair(1), pair(3), pair(5), pair(7), [Some(0), None]]);
+    assert_eq!(six.mesh.materials.materials[5].metallic, 0.0);
+    assert_eq!(six.remarks, ["a texture of reflections that belongs to several others is left out"]);
+    // A stone needs no image of metal.
+    let alone = draft(r#","specularFactor":[0.04,0.04,0.04]"#);
     let material = &alone.mesh.materials.materials[0];
     assert_eq!((material.metallic, material.roughness, alone.images), (0.0, 0.75, vec![diffuse]));
+}
+
+#[test]
+fn factors_of_specular_glossiness_make_the_metal_that_their_images_make() {
+    let images = r#","textures":[{"source":0}],"images":[{"uri":"a.png"}]"#;
+    let read = |glossy: &str| {
+        let glossy = format!(r#"{{"extensions":{{"KHR_materials_pbrSpecularGlossiness":{{{glossy}}}}}}}"#);
+        with_material_and(&glossy, images)
+    };
+    let gold = r#""specularFactor":[1,0.77,0.34],"glossinessFactor":0.75"#;
+    let draft = read(&format!(r#""diffuseFactor":[0,0,0,0.5],{gold}"#));
+    let material = &draft.mesh.materials.materials[0];
+    let difference = material.base_color.iter().zip([1.0, 0.77, 0.34, 0.5]).map(|(a, b): (&f32, f32)| (a - b).abs());
+    assert!(difference.fold(0.0, f32::max) < 1e-4, "{:?}", material.base_color);
+    assert!((material.metallic - 1.0).abs() < 1e-4, "{}", material.metallic);
+    assert_eq!((material.roughness, draft.images.len()), (0.25, 0));
+    for (glossy, role, factors, roughness) in [
+        (
+            format!(r#""diffuseTexture":{{"index":0}},{gold}"#),
+            Role::Diffuse,
+            Factors::new([1.0; 3], [1.0, 0.77, 0.34], 0.0),
+            0.25,
+        ),
+        (
+            r#""diffuseFactor":[0,0.5,0,1],"glossinessFactor":0.75,"specularGlossinessTexture":{"index":0}"#.to_owned(),
+            Role::Specular,
+            Factors::new([0.0, 0.5, 0.0], [1.0; 3], 0.75),
+            1.0,
+        ),
+    ] {
+        let draft = read(&glossy);
+        let material = &draft.mesh.materials.materials[0];
+        assert_eq!((material.base_color, material.metallic, material.roughness), ([1.0; 4], 1.0, roughness));
+        let glossy = || Box::new(Glossy { role: role.clone(), factors });
+        let expected = [Channels::BaseColorOfGlossy(glossy()), Channels::MetalOfGlossy(glossy())]
+            .map(|channels| ImageSource { channels, ..ImageSource::file("a.png") });
+        assert_eq!(draft.images, expected);
+        let textures = [material.base_color_texture, material.metallic_roughness_texture];
+        assert_eq!(textures.map(|texture| texture.map(|texture| texture.image)), [Some(0), Some(1)]);
+    }
+}
+
+#[test]
+fn an_image_that_is_listed_again_is_kept_once() {
+    let textures: Vec<_> = (0..6).map(|source| format!(r#"{{"source":{source}}}"#)).collect();
+    let materials: Vec<_> = (0..6)
+        .map(|index| format!(r#"{{"pbrMetallicRoughness":{{"baseColorTexture":{{"index":{index}}}}}}}"#))
+        .collect();
+    let primitives: Vec<_> =
+        (0..6).map(|material| PRIMITIVE.replacen('{', &format!(r#"{{"material":{material},"#), 1)).collect();
+    let more = format!(
+        r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{}]}}],"materials":[{}],"textures":[{}],"images":[
+        {{"bufferView":0}},{{"bufferView":1}},{{"uri":"a.png"}},{{"uri":"a.png"}},{{"uri":"data:?"}},{{"bufferView":2}}],{}"#,
+        primitives.join(","),
+        materials.join(","),
+        textures.join(","),
+        ACCESSORS.replace(
+            r#""bufferViews":["#,
+            r#""bufferViews":[{"buffer":0,"byteLength":72},{"buffer":0,"byteLength":72},{"buffer":0,"byteLength":71}],"unused":["#
+        )
+    );
+    let draft = parse(&glb(&more, &square())).unwrap();
+    let materials = &draft.mesh.materials.materials;
+    let images: Vec<_> = materials.iter().map(|it| it.base_color_texture.map(|texture| texture.image)).collect();
+    assert_eq!(images, [Some(0), Some(0), Some(1), Some(1), None, None]);
+    assert_eq!(draft.images.len(), 2);
+    assert_eq!(
+        draft.remarks,
+        [
+            "texture 4 has no image that is read (PNG, JPEG, WebP)",
+            "images share their bytes: export the model again",
+            "texture 5 has no image that is read (PNG, JPEG, WebP)"
+        ]
+    );
+}
+
+#[test]
+fn what_materials_are_shown_without_is_told() {
+    let glass = |factor: f32| {
+        let material = format!(
+            r#"{{"name":"pane","extensions":{{"KHR_materials_transmission":{{"transmissionFactor":{factor}}}}}}}"#
+        );
+        with_material(&material).remarks
+    };
+    assert_eq!(glass(0.5), ["material `pane` lets light through: it is shown opaque"]);
+    assert!(glass(0.0).is_empty());
+    let accessor = r#""VEC2"},{"bufferView":0,"componentType":5121,"normalized":true,"count":4,"type":"VEC4"}"#;
+    let colored = |mode: &str| {
+        let more = format!(
+            r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"COLOR_0":3}},"material":0}}]}}],
+            "materials":[{{"alphaMode":"{mode}"}}],{}"#,
+            ACCESSORS.replace(r#""VEC2"}"#, accessor)
+        );
+        parse(&glb(&more, &square())).unwrap().remarks
+    };
+    assert_eq!(colored("MASK"), ["the coverage of vertices' colours is left out"]);
+    assert!(colored("OPAQUE").is_empty());
+}
+
+#[test]
+fn shapes_that_nodes_blend_are_told() {
+    for (of_node, of_mesh, is_told) in [("[0,1]", "[]", true), ("[0,0]", "[1]", false), ("null", "[1]", true)] {
+        let draft = draft(&format!(
+            r#""nodes":[{{"mesh":0,"weights":{of_node}}}],"meshes":[{{"primitives":[{PRIMITIVE}],"weights":{of_mesh}}}]"#
+        ));
+        let expected = ["a shape that is blended with others is shown without them".to_owned()];
+        assert_eq!(draft.remarks, expected[..usize::from(is_told)], "{of_node}");
+    }
+}
+
+#[test]
+fn attributes_that_cannot_be_used_are_left_out_with_a_line() {
+    for (name, accessor, fault) in [
+        ("TEXCOORD_0", 9, "there is no accessor 9"),
+        ("COLOR_0", 2, "accessor 2: is of another type than its use needs"),
+        ("NORMAL", 3, "it has 3 elements for 4 vertices"),
+        ("NORMAL", 4, "accessor 4: is cut short: its view has no 9 elements"),
+    ] {
+        let more = format!(
+            r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"{name}":{accessor}}},"indices":1}}]}}],{}"#,
+            ACCESSORS.replacen(
+                r#""VEC2"}"#,
+                r#""VEC2"},{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"},
+                {"bufferView":0,"componentType":5126,"count":9,"type":"VEC3"}"#,
+                1
+            )
+        );
+        let draft = parse(&glb(&more, &square())).unwrap();
+        assert_eq!(draft.remarks, [format!("{name} of a mesh is left out: {fault}")]);
+        assert_eq!(draft.mesh.triangles.len(), 2);
+    }
+}
+
+#[test]
+fn json_of_careless_programs_is_read() {
+    let plain = format!(r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{PRIMITIVE}]}}],{ACCESSORS}"#);
+    for (from, to) in [
+        (r#""count":4"#, r#""count":4.0"#),
+        (r#""byteOffset":48"#, r#""byteOffset":4.8e1"#),
+        (r#""nodes":["#, r#""nodes":[],"nodes":["#),
+    ] {
+        let more = plain.replace(from, to);
+        assert_ne!(more, plain);
+        assert_eq!(parse(&glb(&more, &square())).unwrap().mesh.triangles.len(), 2, "{to}");
+    }
+    let fraction = plain.replace(r#""count":4"#, r#""count":4.5"#);
+    assert!(parse(&glb(&fraction, &square())).unwrap_err().to_string().contains("invalid type: floating point `4.5`"));
+}
+
+#[test]
+fn bytes_after_the_declared_ones_are_no_part_of_a_glb() {
+    let more = format!(r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{PRIMITIVE}]}}],{ACCESSORS}"#)
+        .replace(r#""buffers":[{"#, &format!(r#""buffers":[{{"uri":"data:;base64,{}","#, "AAAA".repeat(24)));
+    let whole = glb(&more, &[]);
+    let mut json_alone = whole[..whole.len() - 8].to_vec();
+    let n = (json_alone.len() as u32).to_le_bytes();
+    json_alone[8..12].copy_from_slice(&n);
+    json_alone.extend([0xff; 16]);
+    assert_eq!(parse(&json_alone).unwrap().mesh.triangles.len(), parse(&whole).unwrap().mesh.triangles.len());
 }
 
 /// A square of one material.
@@ -505,6 +676,19 @@ fn copies_without_end_are_refused() {
     let primitives = vec![PRIMITIVE; 2000].join(",");
     let more = format!(r#""nodes":[{node}{{}}],"meshes":[{{"primitives":[{primitives}]}}],{ACCESSORS}"#);
     assert!(matches!(parse(&glb(&more, &square())), Err(Problem::TooManyCopies(_))));
+    let lines = vec![r#"{"attributes":{},"mode":1}"#; 2000].join(",");
+    let more = format!(r#""nodes":[{node}{{}}],"meshes":[{{"primitives":[{lines}]}}],{ACCESSORS}"#);
+    assert!(matches!(parse(&glb(&more, &square())), Err(Problem::TooManyCopies(_))));
+    // A million primitives with nine thousand positions to copy, before their indices turn out to be missing.
+    let positions = r#"{"bufferView":0,"componentType":5126,"count":9000,"type":"VEC3","sparse":{"count":1,
+        "indices":{"bufferView":0,"componentType":5121},"values":{"bufferView":0}}}"#;
+    let node = r#"{"mesh":0},"#.repeat(1000);
+    let primitives = vec![r#"{"attributes":{"POSITION":0},"indices":9}"#; 1000].join(",");
+    let more = format!(
+        r#""nodes":[{node}{{}}],"meshes":[{{"primitives":[{primitives}]}}],"accessors":[{positions}],
+        "bufferViews":[{{"buffer":0,"byteLength":108000}}],"buffers":[{{"byteLength":108000}}]"#
+    );
+    assert!(matches!(parse(&glb(&more, &[0; 108_000])), Err(Problem::TooManyCopies(_))));
 }
 
 proptest! {
