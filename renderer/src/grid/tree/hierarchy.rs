@@ -49,8 +49,8 @@ const MANY_REFERENCES: f64 = 1.5;
 const FEW_ITEMS: usize = 4096;
 
 /// Bytes for each piece of a triangle while a hierarchy over triangles is built: an item, its part of the binary tree, and of nodes
-/// that are nearly full.
-const BYTES_PER_PIECE: u64 = 48 + 32 + 36;
+/// that are nearly full, twice: those of parts are put together.
+const BYTES_PER_PIECE: u64 = 48 + 32 + 2 * 36;
 
 /// Up to [`CHILDREN`] boxes.
 ///
@@ -215,6 +215,9 @@ impl Nodes {
             (append(&mut subtree, of_part), subtree)
         };
         let subtrees: Vec<_> = of_parts.into_par_iter().map(subtree).collect();
+        let n_nodes = |of: fn(&Self) -> usize| subtrees.iter().map(|(_, subtree)| of(subtree)).sum();
+        self.nodes.reserve_exact(n_nodes(|subtree| subtree.nodes.len()));
+        self.triangle_nodes.reserve_exact(n_nodes(|subtree| subtree.triangle_nodes.len()));
         for ((part, slot), (root, subtree)) in parts.iter().zip(slots).zip(subtrees) {
             // Nodes of a subtree count from its first one. A tree's leaves stay where they are: no triangle nodes are before.
             let (first, first_triangles) = (self.nodes.len() as Entry, self.triangle_nodes.len() as Entry);
@@ -466,7 +469,7 @@ mod tests {
         let (large_triangles, courtyard) = ((8_000_000, 13_000_000, true), (8_000_000, 11_000_000, false));
         let is_over_triangles =
             |(n, n_references, is_even), bytes| Hierarchy::is_over_triangles(n, n_references, is_even, bytes);
-        assert!(is_over_triangles(small, 120_000_000) && !is_over_triangles(small, 50_000_000));
+        assert!(is_over_triangles(small, 160_000_000) && !is_over_triangles(small, 50_000_000));
         assert!(is_over_triangles(large_triangles, u64::MAX) && is_over_triangles(courtyard, u64::MAX));
         assert!(!is_over_triangles(scan, u64::MAX));
         assert_eq!(Hierarchy::most_pieces(1_000_000, u64::MAX), 1_250_000);
