@@ -5,7 +5,11 @@ use std::io;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::{formats::polygon::PolygonDivider, memory, model::mesh::Mesh};
+use crate::{
+    formats::polygon::{Division, PolygonDivider},
+    memory,
+    model::mesh::Mesh,
+};
 
 /// Why a mesh cannot be held.
 #[derive(Debug, thiserror::Error)]
@@ -109,21 +113,21 @@ impl MeshBuilder {
         Ok(())
     }
 
-    /// Adds the triangles of a polygon. Returns them by the numbers of its corners.
-    pub(super) fn push_polygon(&mut self, corners: &[u32]) -> Result<&[[u32; 3]], AssemblyError> {
+    /// Adds the triangles of a polygon, and returns them.
+    pub(super) fn push_polygon(&mut self, corners: &[u32]) -> Result<Division<'_>, AssemblyError> {
         check_count(self.mesh.triangles.len() + corners.len().saturating_sub(2), "triangles")?;
         if let &[a, b, c] = corners {
             self.mesh.triangles.push([a, b, c]);
-            return Ok(&[[0, 1, 2]]);
+            return Ok(Division::fan(3));
         }
         let position = |number: usize| {
             let vertex = self.mesh.vertices.get(corners[number] as usize)?;
             Mesh::is_usable(*vertex).then(|| Vec3::from_array(*vertex).as_dvec3())
         };
-        let of_polygon = self.polygons.divide(corners.len(), position);
-        let vertices = |triangle: &[u32; 3]| triangle.map(|number| corners[number as usize]);
-        self.mesh.triangles.extend(of_polygon.iter().map(vertices));
-        Ok(of_polygon)
+        let division = self.polygons.divide(corners.len(), position);
+        let vertices = |triangle: [u32; 3]| triangle.map(|number| corners[number as usize]);
+        self.mesh.triangles.extend(division.triangles().map(vertices));
+        Ok(division)
     }
 
     /// Unrolls strips, separated by negative indices; flips every other triangle, so that all face the same way.

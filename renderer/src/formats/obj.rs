@@ -172,7 +172,7 @@ impl Model {
             vertices.clear();
             vertices.extend(corners.iter().map(|corner| row(0, corner[0])));
             let first = self.builder.n_triangles();
-            for (triangle, numbers) in (first..).zip(self.builder.push_polygon(&vertices)?) {
+            for (triangle, numbers) in (first..).zip(self.builder.push_polygon(&vertices)?.triangles()) {
                 let triangle_corners = numbers.map(|number| corners[number as usize]);
                 for (kind, of_corners) in [(1, &mut self.texture_corners), (2, &mut self.normal_corners)] {
                     if triangle_corners.iter().any(|corner| corner[kind] != piece::NONE) {

@@ -99,12 +99,12 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, Proble
                 assembly.reserve_triangles(element.most_triangle_rows(header.encoding, n_left))?;
                 faces.begin(assembly.n_triangles(), [colored, numbered, textured]);
                 read_rows(&mut reader, &header, element, |face: &Corners| {
-                    let triangles = assembly.push_polygon(&face.indices)?;
-                    let n = triangles.len();
+                    let division = assembly.push_polygon(&face.indices)?;
+                    let n = division.len();
                     faces.colors.extend(std::iter::repeat_n(face.color, if colored { n } else { 0 }));
                     faces.textures.extend(std::iter::repeat_n(face.texture, if numbered { n } else { 0 }));
                     if textured {
-                        faces.push_corners(face, triangles);
+                        faces.push_corners(face, division);
                     }
                     Ok(())
                 })?;

@@ -13,28 +13,50 @@ pub(super) struct PolygonDivider {
     /// Of the present polygon: its corners from the first one, and the same in a plane, where they run counter-clockwise.
     corners: Vec<DVec3>,
     in_plane: Vec<DVec2>,
+    ears: Vec<[u32; 3]>,
     /// The numbers of the corners that are left.
     ring: Vec<u32>,
-    triangles: Vec<[u32; 3]>,
+}
+
+/// The triangles of a polygon by the numbers of its corners: ears, and a fan around the first of those that are left. A fan of all
+/// takes no memory, because a file may be one polygon.
+#[derive(Clone, Copy)]
+pub(super) struct Division<'a> {
+    ears: &'a [[u32; 3]],
+    /// None if all are left.
+    ring: Option<&'a [u32]>,
+    n_left: usize,
+}
+
+impl<'a> Division<'a> {
+    /// All triangles around the first of `n` corners: (0, 1, 2), (0, 2, 3), …
+    pub(super) fn fan(n: usize) -> Self {
+        Self { ears: &[], ring: None, n_left: n }
+    }
+
+    /// Number of triangles.
+    pub(super) fn len(self) -> usize {
+        self.ears.len() + self.n_left.saturating_sub(2)
+    }
+
+    pub(super) fn triangles(self) -> impl Iterator<Item = [u32; 3]> + 'a {
+        let left = move |index: usize| self.ring.map_or(index as u32, |ring| ring[index]);
+        let fan = (2..self.n_left).map(move |last| [0, last - 1, last].map(left));
+        self.ears.iter().copied().chain(fan)
+    }
 }
 
 impl PolygonDivider {
-    /// The triangles of a polygon of `n` corners, by the numbers of these: two fewer than corners.
+    /// The triangles of a polygon of `n` corners: two fewer than corners.
     ///
-    /// They are a fan, (0, 1, 2), (0, 2, 3), …, unless a part of it would lie outside the polygon: then ears are cut off, after
+    /// They are a fan unless a part of it would lie outside the polygon: then ears are cut off, after
     /// Meisters, "Polygons Have Ears" (1975). A polygon with a corner that has no finite position is fanned.
-    pub(super) fn divide(&mut self, n: usize, corner: impl Fn(usize) -> Option<DVec3>) -> &[[u32; 3]] {
-        self.triangles.clear();
-        self.ring.clear();
-        self.ring.extend(0..n as u32);
-        if (4..=MOST_CORNERS).contains(&n) && self.place(n, corner) && !self.is_fan_inside() {
-            self.cut_ears();
+    pub(super) fn divide(&mut self, n: usize, corner: impl Fn(usize) -> Option<DVec3>) -> Division<'_> {
+        if !(4..=MOST_CORNERS).contains(&n) || !self.place(n, corner) || self.is_fan_inside() {
+            return Division::fan(n);
         }
-        // Fan what is left.
-        if let Some((&first, rest)) = self.ring.split_first() {
-            self.triangles.extend(rest.windows(2).map(|edge| [first, edge[0], edge[1]]));
-        }
-        &self.triangles
+        self.cut_ears();
+        Division { ears: &self.ears, ring: Some(&self.ring), n_left: self.ring.len() }
     }
 
     /// Places the corners in the plane that the polygon faces most. Returns false if it has no area.
@@ -66,14 +88,17 @@ impl PolygonDivider {
         (2..self.in_plane.len() as u32).all(|last| self.area([0, last - 1, last]) >= 0.0)
     }
 
-    /// Cuts ears off the ring until three corners are left, or none is found.
+    /// Cuts ears off the ring of all corners until three are left, or no ear is found.
     fn cut_ears(&mut self) {
+        self.ears.clear();
+        self.ring.clear();
+        self.ring.extend(0..self.in_plane.len() as u32);
         let (mut at, mut n_refused, mut n_tests) = (0, 0, MOST_TESTS * self.ring.len());
         while self.ring.len() > 3 && n_refused < self.ring.len() && n_tests > 0 {
             let n = self.ring.len();
             let ear = [self.ring[(at + n - 1) % n], self.ring[at], self.ring[(at + 1) % n]];
             if self.is_ear(ear, &mut n_tests) {
-                self.triangles.push(ear);
+                self.ears.push(ear);
                 self.ring.remove(at);
                 (at, n_refused) = (at % (n - 1), 0);
             } else {
@@ -102,7 +127,13 @@ mod tests {
     use super::*;
 
     fn divide(corners: &[[f64; 2]], place: impl Fn([f64; 2]) -> DVec3) -> Vec<[u32; 3]> {
-        PolygonDivider::default().divide(corners.len(), |number| Some(place(corners[number]))).to_vec()
+        triangles(&mut PolygonDivider::default(), corners.len(), |number| Some(place(corners[number])))
+    }
+
+    fn triangles(divider: &mut PolygonDivider, n: usize, corner: impl Fn(usize) -> Option<DVec3>) -> Vec<[u32; 3]> {
+        let division = divider.divide(n, corner);
+        assert_eq!(division.triangles().count(), division.len());
+        division.triangles().collect()
     }
 
     fn fan(n: u32) -> Vec<[u32; 3]> {
@@ -178,12 +209,12 @@ mod tests {
     fn polygons_without_a_shape_have_as_many_triangles() {
         let mut divider = PolygonDivider::default();
         let on_line = |number: usize| Some(DVec3::X * [0.0, 3.0, 1.0, 2.0, 5.0][number]);
-        assert_eq!(divider.divide(5, on_line), fan(5));
-        assert_eq!(divider.divide(5, |_| Some(DVec3::ONE)), fan(5));
-        assert_eq!(divider.divide(5, |number| (number != 3).then_some(DVec3::ONE)), fan(5));
+        assert_eq!(triangles(&mut divider, 5, on_line), fan(5));
+        assert_eq!(triangles(&mut divider, 5, |_| Some(DVec3::ONE)), fan(5));
+        assert_eq!(triangles(&mut divider, 5, |number| (number != 3).then_some(DVec3::ONE)), fan(5));
         for n in [4, 5, 100, MOST_CORNERS, MOST_CORNERS + 1, 3 * MOST_CORNERS] {
             let crossing = |number: usize| DVec3::new((number * number) as f64 % 97.0, number as f64 % 13.0, 0.0);
-            assert_eq!(divider.divide(n, |number| Some(crossing(number))).len(), n - 2);
+            assert_eq!(triangles(&mut divider, n, |number| Some(crossing(number))).len(), n - 2);
         }
     }
 }

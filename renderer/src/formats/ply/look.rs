@@ -5,6 +5,7 @@ use crate::formats::{
     file::Draft,
     images::ImageSource,
     ply::element::Corners,
+    polygon::Division,
     wedges::{self, Look},
 };
 use crate::model::{
@@ -36,12 +37,12 @@ impl FaceLooks {
         self.corners.resize(if textured { n_triangles } else { 0 }, None);
     }
 
-    /// Adds the texture coordinates of a polygon's triangles, which are named by the numbers of its corners.
-    pub(super) fn push_corners(&mut self, face: &Corners, triangles: &[[u32; 3]]) {
+    /// Adds the texture coordinates of a polygon's triangles.
+    pub(super) fn push_corners(&mut self, face: &Corners, division: Division<'_>) {
         let coordinates = face.texture_coordinates.as_chunks().0;
         let are_whole = coordinates.len() == face.indices.len();
         let of_corner = |number: u32| flipped(coordinates[number as usize]);
-        self.corners.extend(triangles.iter().map(|triangle| are_whole.then(|| triangle.map(of_corner))));
+        self.corners.extend(division.triangles().map(|triangle| are_whole.then(|| triangle.map(of_corner))));
     }
 
     /// Gives a mesh its looks. Colours of vertices count more than those of faces, coordinates of corners more than those of
