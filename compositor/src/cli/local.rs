@@ -214,16 +214,22 @@ const PANICKED: i32 = 101;
 const SIGKILL: i32 = 9;
 const SIGBUS: i32 = if cfg!(target_os = "linux") { 7 } else { 10 };
 
-/// What a process died of, which another may survive; `None` if it ended by itself. Linux sends SIGKILL when memory runs out, and
-/// SIGBUS when a mapped file is cut.
+/// The cause of a process's death, which another may survive; `None` if it ended by itself. Linux sends SIGKILL when memory runs
+/// out, and SIGBUS when a mapped file is cut.
 fn death(status: ExitStatus, oom_kills: [Option<u64>; 2]) -> Option<String> {
-    #[cfg(unix)]
-    match std::os::unix::process::ExitStatusExt::signal(&status) {
-        Some(SIGKILL) => return Some(format!("was killed{}", cause_of_kill(oom_kills[0], oom_kills[1]))),
-        Some(SIGBUS) => return Some("lost a file that it had mapped".to_owned()),
-        _ => {}
+    match signal(status) {
+        Some(SIGKILL) => Some(format!("was killed{}", cause_of_kill(oom_kills[0], oom_kills[1]))),
+        Some(SIGBUS) => Some("lost a file that it had mapped".to_owned()),
+        _ => (status.code() == Some(PANICKED)).then(|| "crashed: the log says where".to_owned()),
     }
-    (status.code() == Some(PANICKED)).then(|| "crashed: the log says where".to_owned())
+}
+
+/// The signal that ended a process.
+fn signal(status: ExitStatus) -> Option<i32> {
+    #[cfg(unix)]
+    return std::os::unix::process::ExitStatusExt::signal(&status);
+    #[cfg(not(unix))]
+    return None;
 }
 
 #[cfg(test)]

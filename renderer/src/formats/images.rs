@@ -62,13 +62,13 @@ pub enum Channels {
 /// The diffuse and specular colours of a surface with an image.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Glossy {
-    /// What the image is.
+    /// The image's.
     pub role: Role,
     /// They multiply images, or stand alone.
     pub factors: Factors,
 }
 
-/// What an image is beside factors.
+/// The role of an image beside factors.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Role {
     /// The diffuse colour; specular colour and glossiness are in another image.

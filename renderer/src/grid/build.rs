@@ -72,6 +72,7 @@ impl Grid {
             Storage::Tree | Storage::Compact => {
                 let most_bytes_in_order = options.memory_budget.remaining_beside(mesh_bytes_in_order);
                 let most_bytes = [most_bytes, most_bytes_in_order];
+                // Where sizes are not, the model of references does not hold.
                 let is_even = references.is_some();
                 let (grid, wanted) = Self::tree(mesh, &bounds, storage, density, is_even, most_bytes, progress);
                 (grid, wanted.is_some(), wanted)
