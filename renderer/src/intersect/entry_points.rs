@@ -15,7 +15,7 @@ use crate::{
         },
     },
     intersect::{descent::Descent, ray::Ray, rays::prefetch_ahead, starts::RayStarts},
-    simd::Simd,
+    simd::{Simd, consecutive},
 };
 
 /// Vectors of rays in a batch: as many as spread the cost of its entry points, and few enough to lie close together.
@@ -32,8 +32,12 @@ const ROOM: usize = 2 * CHILDREN;
 
 /// Rays that begin one after the other.
 pub(super) struct RayBatch {
-    /// Their indices among all rays.
-    rays: Range<usize>,
+    /// Index of the first among all rays.
+    first: usize,
+    /// The places in the batch of rays that may hit something, with room for a vector after the last, and of those the next to
+    /// begin.
+    places: [u32; N_VECTORS * 16 + 16],
+    left: Range<usize>,
     starts: [RayStarts; N_VECTORS],
     entry_points: EntryPoints,
     /// Only where any hit counts, because the nearest is found by the order of boxes along each ray, and over triangles: over
@@ -45,7 +49,9 @@ pub(super) struct RayBatch {
 
 impl RayBatch {
     pub(super) const EMPTY: Self = Self {
-        rays: 0..0,
+        first: 0,
+        places: [0; N_VECTORS * 16 + 16],
+        left: 0..0,
         starts: [RayStarts::EMPTY; N_VECTORS],
         entry_points: EntryPoints::EMPTY,
         has_entry_points: false,
@@ -54,16 +60,17 @@ impl RayBatch {
 
     /// Forgets its rays.
     pub(super) fn clear(&mut self) {
-        self.rays = 0..0;
+        self.left = 0..0;
     }
 
-    /// Whether it holds the ray of this index.
+    /// Whether it has a ray to begin with.
     #[inline(always)]
-    pub(super) fn holds(&self, ray_idx: usize) -> bool {
-        self.rays.contains(&ray_idx)
+    pub(super) fn is_empty(&self) -> bool {
+        self.left.is_empty()
     }
 
-    /// Prepares the first of some rays, whose indices count from `first`.
+    /// Prepares the first of some rays, whose indices count from `first`. Calls `miss` with the indices of those that certainly
+    /// hit nothing, which need no slot. Returns how many rays it has prepared.
     #[inline(always)]
     pub(super) fn prepare<S: Simd, const ANY: bool>(
         &mut self,
@@ -71,9 +78,10 @@ impl RayBatch {
         tree: &Tree,
         first: usize,
         rays: &[Ray],
-    ) {
+        mut miss: impl FnMut(usize),
+    ) -> usize {
         let n = rays.len().min(N_VECTORS * S::LANES);
-        self.rays = first..first + n;
+        self.first = first;
         let n_vectors = n.div_ceil(S::LANES);
         for vector in 0..n_vectors {
             // Bundles have read rays of which any hit counts.
@@ -87,39 +95,56 @@ impl RayBatch {
         if self.has_entry_points {
             let bounds = RayStarts::bounds::<S>(&self.starts[..n_vectors], tree.extent);
             self.entry_points.find::<S>(&tree.hierarchy, bounds);
-            for vector in 0..n_vectors {
+        }
+
+        let mut n_left = 0;
+        for vector in 0..n_vectors {
+            let RayStarts { mut meeting, far, .. } = self.starts[vector];
+            if self.has_entry_points {
                 self.entry_points.find_passed::<S>(&self.starts[vector], &mut self.passed[vector]);
+                meeting &= !S::eq_mask(&self.passed[vector], 0);
+            }
+            let place = vector * S::LANES;
+            let of_rays = u32::MAX >> (32 - S::LANES.min(n - place));
+            let left = (meeting | far) & of_rays;
+            n_left += S::load_bits(&consecutive(place as u32)).compress_bits_to(left, &mut self.places[n_left..]);
+            let mut missing = of_rays & !left;
+            while missing != 0 {
+                miss(first + place + missing.trailing_zeros() as usize);
+                missing &= missing - 1;
             }
         }
+        self.left = 0..n_left;
+        n
     }
 
-    /// Begins with a ray that the batch holds. Returns what it enters first.
+    /// Begins with the next ray, of which there is one. Returns its index and what it enters first.
     #[inline(always)]
     pub(super) fn begin<S: Simd, const ANY: bool>(
-        &self,
+        &mut self,
         space: &CellSpace,
         tree: &Tree,
-        ray_idx: usize,
-        ray: &Ray,
+        rays: &[Ray],
         descent: &mut Descent,
-    ) -> Entry {
-        let number = ray_idx - self.rays.start;
-        let (vector, lane) = (number / S::LANES % N_VECTORS, number % S::LANES);
+    ) -> (usize, Entry) {
+        let place = self.places[self.left.start % (N_VECTORS * 16)] as usize;
+        self.left.start += 1;
+        let ray_idx = self.first + place;
+        let (vector, lane) = (place / S::LANES % N_VECTORS, place % S::LANES);
         let starts = &self.starts[vector];
         if starts.far >> lane & 1 == 1 {
-            let start = RayStarts::of_far_ray(space, tree.extent, ray);
+            let start = RayStarts::of_far_ray(space, tree.extent, &rays[ray_idx]);
             descent.begin::<ANY>(&start, 0);
-            return if start.meeting == 1 { tree.hierarchy.root } else { NONE };
+            return (ray_idx, if start.meeting == 1 { tree.hierarchy.root } else { NONE });
         }
         descent.begin::<ANY>(starts, lane);
-        if starts.meeting >> lane & 1 == 0 {
-            NONE
-        } else if ANY && self.has_entry_points {
+        let entry = if ANY && self.has_entry_points {
             descent.enter::<S>(&self.entry_points.entries, self.passed[vector][lane]);
             descent.next()
         } else {
             tree.hierarchy.root
-        }
+        };
+        (ray_idx, entry)
     }
 }
 
