@@ -37,6 +37,13 @@ const WIDEST: f32 = 1.0 / 16.0;
 /// are seen whole; tests/README.md has figures.
 const TRIANGLES_IN_SECTION: f32 = 64.0;
 
+/// A bundle that was compared with more boxes than these has taken longer than its rays would have alone, as where triangles near
+/// it are far smaller than typical ones.
+const MOST_BOXES: u32 = 512;
+
+/// After such a bundle, the rays of so many more go alone: they lie close to it. tests/README.md has figures.
+const N_SPARED: u32 = 15;
+
 /// The greatest slope: along the major axis of one ray of a bundle, others may be a little steeper than 1.
 const STEEPEST: f32 = 1.125;
 
@@ -82,6 +89,8 @@ pub(super) struct Bundles<'a> {
     occluder: Option<u32>,
     /// Whether all rays of the last bundle were hidden; true before the first.
     beside_hidden: bool,
+    /// The bundles to come whose rays go alone.
+    n_spared: u32,
 }
 
 impl<'a> Bundles<'a> {
@@ -90,12 +99,16 @@ impl<'a> Bundles<'a> {
         let [n_items, n_leaves] = [tree.n_items(), tree.leaf_cubes.len()].map(|n| n.max(1) as f32);
         let items_per_box = if triangle_nodes.is_empty() { n_items / n_leaves } else { 1.0 };
         let widest_section = TRIANGLES_IN_SECTION * typical_area / items_per_box;
-        Self { grid, tree, widest_section, occluder: None, beside_hidden: true }
+        Self { grid, tree, widest_section, occluder: None, beside_hidden: true, n_spared: 0 }
     }
 
     /// A bit for each of up to [`MOST_RAYS`] rays that hits something; `None` if they do not go together.
     #[inline(always)]
     pub(super) fn occluded<S: Simd>(&mut self, rays: &[Ray]) -> Option<u32> {
+        if self.n_spared > 0 {
+            self.n_spared -= 1;
+            return None;
+        }
         let axis = major_axis(rays.first()?.direction.to_array());
         let axes = [axis, (axis + 1) % 3, (axis + 2) % 3];
         if rays.len() < FEWEST_RAYS || !self.may_go_together(rays, axes) {
@@ -103,9 +116,21 @@ impl<'a> Bundles<'a> {
         }
         let left = u32::MAX >> (32 - rays.len());
         let (lanes, shaft, pairs) = (RayLanes::default(), Shaft::default(), Pairs::NONE);
-        let Self { grid, tree, widest_section, occluder, beside_hidden } = *self;
-        let mut bundle =
-            Bundle { grid, tree, rays, axes, lanes, shaft, pairs, left, occluded: 0, occluder: None, beside_hidden };
+        let Self { grid, tree, widest_section, occluder, beside_hidden, .. } = *self;
+        let mut bundle = Bundle {
+            grid,
+            tree,
+            rays,
+            axes,
+            lanes,
+            shaft,
+            pairs,
+            left,
+            occluded: 0,
+            occluder: None,
+            beside_hidden,
+            n_boxes: 0,
+        };
         if !bundle.bound::<S>() || bundle.shaft.section(tree.extent) > widest_section {
             return None;
         }
@@ -117,6 +142,7 @@ impl<'a> Bundles<'a> {
         } else {
             bundle.trace::<S, false>();
         }
+        self.n_spared = if bundle.n_boxes > MOST_BOXES { N_SPARED } else { 0 };
         self.beside_hidden = bundle.left == 0;
         self.occluder = bundle.occluder.filter(|_| bundle.left == 0);
         Some(bundle.occluded)
@@ -160,6 +186,8 @@ struct Bundle<'a> {
     occluder: Option<u32>,
     /// As in [`Bundles`].
     beside_hidden: bool,
+    /// Boxes that all rays were compared with, but for those of a leaf's groups.
+    n_boxes: u32,
 }
 
 impl Bundle<'_> {
@@ -334,6 +362,7 @@ impl Bundle<'_> {
             // Beside others that are hidden, the largest box is entered first: it may hold a triangle that hides the next bundles
             // too. Elsewhere finding it took up to 8 % of the time.
             let largest = if self.beside_hidden { self.shaft.largest::<S>(&rows, passed) } else { 0 };
+            self.n_boxes += passed.count_ones();
             let n_before = n_stack;
             for mut passed in [passed & !largest, largest] {
                 while passed != 0 {
@@ -387,6 +416,7 @@ impl Bundle<'_> {
         flip: usize,
         triangles: &[u32; CHILDREN],
     ) {
+        self.n_boxes += passed.count_ones();
         let (mut met, mut n_met) = ([(0, 0); CHILDREN], 0);
         while passed != 0 {
             let slot = (passed.trailing_zeros() as usize ^ flip) % CHILDREN;
