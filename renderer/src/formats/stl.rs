@@ -1,9 +1,12 @@
 //! Reads STL files, text or binary. Their triangles share no corners: equal positions become one vertex.
 
-use std::io::{BufRead, Read};
+mod words;
+
+use std::io::Read;
 
 use glam::DVec3;
 
+use self::words::Words;
 use crate::formats::{
     assembly::{AssemblyError, MeshBuilder, TextProblem},
     decimal::Decimal,
@@ -16,8 +19,6 @@ const HEADER_BYTES: usize = 84;
 const TRIANGLE_BYTES: usize = 50;
 /// Triangles that are read at once.
 const BATCH: usize = 8192;
-/// The longest line of a text; real ones have a hundred bytes.
-const LONGEST_LINE: u64 = 1 << 16;
 
 /// The length of the binary file that starts like this.
 pub(super) fn binary_bytes(start: &[u8]) -> Option<u64> {
@@ -37,7 +38,7 @@ pub(super) fn begins_with_triangle(start: &[u8]) -> bool {
 ///
 /// # Errors
 /// It cannot be read, or has too many triangles.
-pub fn read_binary(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, TextProblem> {
+pub fn read_binary(mut reader: impl Read, n_bytes: u64) -> Result<Draft, TextProblem> {
     let mut header = [0; HEADER_BYTES];
     reader.read_exact(&mut header)?;
     let declared = binary_bytes(&header).unwrap_or(0).min(n_bytes);
@@ -66,43 +67,80 @@ pub fn read_binary(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, Text
 /// Reads a text STL. A facet of more than three corners is divided; several solids become one mesh.
 ///
 /// # Errors
-/// A corner is not three numbers, or there are too many triangles.
-pub fn read_text(mut reader: impl BufRead) -> Result<Draft, TextProblem> {
+/// It cannot be read, a corner is not three numbers, or there are too many triangles.
+pub fn read_text(reader: impl Read) -> Result<Draft, TextProblem> {
+    let mut words = Words::new(reader)?;
     let mut corners = Welder::default();
-    // Old Macs end lines with a carriage return alone.
-    let start = reader.fill_buf()?;
-    let line_end = if !start.contains(&b'\n') && start.contains(&b'\r') { b'\r' } else { b'\n' };
-    let (mut line, mut number, mut is_open) = (Vec::new(), 0, false);
-    loop {
-        line.clear();
-        if reader.by_ref().take(LONGEST_LINE).read_until(line_end, &mut line)? == 0 {
-            let mut draft = corners.finish()?;
-            if is_open {
-                draft.remarks.push("ends without `endsolid`: it may have been cut short".to_owned());
+    let (mut keyword, mut is_open, mut line_of_name) = (Keyword::Other, false, None);
+    while let Some(word) = words.next()? {
+        let before = std::mem::replace(&mut keyword, Keyword::of(word));
+        if line_of_name == Some(words.line) {
+            // A name may have any words, and ends with its line, unless the whole solid is on that.
+            if (before, keyword) != (Keyword::Facet, Keyword::Normal) {
+                continue;
             }
-            return Ok(draft);
+            line_of_name = None;
         }
-        number += 1;
-        let problem = |what: String| TextProblem::Line { line: number, what };
-        let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).peekable();
-        while let Some(word) = words.next() {
-            if word.eq_ignore_ascii_case(b"vertex") {
-                let mut position = [0.0; 3];
-                for coordinate in &mut position {
-                    let word = words.next().ok_or_else(|| problem("a vertex needs three numbers".to_owned()))?;
-                    let decimal = Decimal::parse(word);
-                    let name = || problem(format!("`{}` is not a number", printable(word)));
-                    *coordinate = decimal.ok_or_else(name)?.value as f32;
-                }
-                corners.push(position)?;
-            } else if word.eq_ignore_ascii_case(b"endloop") || word.eq_ignore_ascii_case(b"endfacet") {
-                corners.end_polygon()?;
-            } else if word.eq_ignore_ascii_case(b"solid") || word.eq_ignore_ascii_case(b"endsolid") {
-                is_open = word.eq_ignore_ascii_case(b"solid");
-                break; // a name follows
+        match keyword {
+            Keyword::Vertex => corners.push(position(&mut words)?)?,
+            Keyword::EndOfPolygon => corners.end_polygon()?,
+            Keyword::Solid | Keyword::EndOfSolid => {
+                (is_open, line_of_name) = (keyword == Keyword::Solid, Some(words.line));
             }
+            Keyword::Normal => is_open = true,
+            Keyword::Facet | Keyword::Other => {}
         }
     }
+    let mut draft = corners.finish()?;
+    if is_open {
+        draft.remarks.push("ends without `endsolid`: it may have been cut short".to_owned());
+    }
+    Ok(draft)
+}
+
+/// A word of a text, in small or capital letters.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Keyword {
+    Solid,
+    Facet,
+    Normal,
+    Vertex,
+    EndOfPolygon,
+    EndOfSolid,
+    Other,
+}
+
+impl Keyword {
+    fn of(word: &[u8]) -> Self {
+        let is = |keyword: &str| word.eq_ignore_ascii_case(keyword.as_bytes());
+        match word.len() {
+            5 if is("solid") => Self::Solid,
+            5 if is("facet") => Self::Facet,
+            6 if is("vertex") => Self::Vertex,
+            6 if is("normal") => Self::Normal,
+            7 if is("endloop") => Self::EndOfPolygon,
+            8 if is("endfacet") => Self::EndOfPolygon,
+            8 if is("endsolid") => Self::EndOfSolid,
+            _ => Self::Other,
+        }
+    }
+}
+
+/// The three numbers of a vertex.
+fn position(words: &mut Words<impl Read>) -> Result<[f32; 3], TextProblem> {
+    let line = words.line;
+    let mut position = [0.0; 3];
+    for coordinate in &mut position {
+        let Some(word) = words.next()? else {
+            return Err(TextProblem::Line { line, what: "a vertex needs three numbers, and the file ends".to_owned() });
+        };
+        let Some(decimal) = Decimal::parse(word) else {
+            let what = format!("`{}` is not a number: a vertex needs three", printable(word));
+            return Err(TextProblem::Line { line: words.line, what });
+        };
+        *coordinate = decimal.value as f32;
+    }
+    Ok(position)
 }
 
 /// The beginning of a token, for an error.
@@ -237,7 +275,11 @@ mod tests {
             TEXT.replace('\n', "\r"),
             TEXT.replace("endsolid two facets\n", ""),
             TEXT.replace("endfacet\nfacet", "endfacet\nendsolid a vertex\nsolid b vertex\nfacet"),
-            TEXT.replace("two facets\n", "\u{e9} vertex\n"),
+            TEXT.replace("two facets\n", "\u{e9} facet vertex\n"),
+            // Lines may end anywhere but within a name.
+            TEXT.replace('\n', " "),
+            TEXT.replace([' ', '\n'], "\n").replace("solid\ntwo\nfacets", "solid two facets"),
+            format!("{} {}", TEXT.replace('\n', " "), "solid b endsolid b ".repeat(10_000)),
         ] {
             assert_eq!(text_mesh(&text), expected, "{text}");
         }
@@ -250,12 +292,15 @@ mod tests {
     #[test]
     fn faults_have_a_line() {
         for (from, to, expected) in [
-            ("1.0e0", "1.0f", "line 11: `1.0f` is not a number"),
-            ("vertex 1 0 0", "vertex 1 0", "line 5: a vertex needs three numbers"),
+            ("1.0e0", "1.0f", "line 13: `1.0f` is not a number: a vertex needs three"),
+            ("vertex 1 0 0", "vertex 1 0", "line 6: `vertex` is not a number: a vertex needs three"),
         ] {
             let error = read_text(TEXT.replacen(from, to, 1).as_bytes()).unwrap_err().to_string();
-            assert_eq!(error, if from == "1.0e0" { expected.replace("11", "13") } else { expected.to_owned() });
+            assert_eq!(error, expected);
         }
+        let cut = format!("{}\n", &TEXT[..TEXT.find(" 0\n  vertex 0 1").unwrap()]);
+        let cut = read_text(cut.as_bytes()).unwrap_err().to_string();
+        assert_eq!(cut, "line 5: a vertex needs three numbers, and the file ends");
         let nan = binary_mesh(&binary(&[[[f32::NAN; 3]; 3], [[0.0; 3], [1.0; 3], [2.0; 3]]]));
         assert_eq!((nan.n_rejected, nan.triangles[0]), (1, Mesh::REJECTED));
     }
