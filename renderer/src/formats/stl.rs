@@ -1,12 +1,13 @@
 //! Reads STL files, text or binary. Their triangles share no corners: equal positions become one vertex.
 
+mod colors;
 mod words;
 
 use std::io::Read;
 
 use glam::DVec3;
 
-use self::words::Words;
+use self::{colors::Colors, words::Words};
 use crate::formats::{
     assembly::{AssemblyError, MeshBuilder, TextProblem},
     decimal::Decimal,
@@ -15,14 +16,15 @@ use crate::formats::{
 
 /// Bytes before the triangles of a binary file: a title and their number.
 const HEADER_BYTES: usize = 84;
-/// A normal, three corners, and two bytes in which programs keep things of their own.
+const TITLE_BYTES: usize = 80;
+/// A normal, three corners, and two bytes in which programs keep [`colors`].
 const TRIANGLE_BYTES: usize = 50;
 /// Triangles that are read at once.
 const BATCH: usize = 8192;
 
 /// The length of the binary file that starts like this.
 pub(super) fn binary_bytes(start: &[u8]) -> Option<u64> {
-    let count = start.get(HEADER_BYTES - 4..HEADER_BYTES)?.first_chunk()?;
+    let count = start.get(TITLE_BYTES..HEADER_BYTES)?.first_chunk()?;
     Some(HEADER_BYTES as u64 + TRIANGLE_BYTES as u64 * u64::from(u32::from_le_bytes(*count)))
 }
 
@@ -34,7 +36,8 @@ pub(super) fn begins_with_triangle(start: &[u8]) -> bool {
     is_unit && numbers.all(|x| x == 0.0 || (1e-9..1e9).contains(&x.abs()))
 }
 
-/// Reads a binary STL of `n_bytes` bytes, at least as many as its header counts.
+/// Reads a binary STL of `n_bytes` bytes, at least as many as its header counts. A vertex is split where triangles of
+/// different [`colors`] meet.
 ///
 /// # Errors
 /// It cannot be read, or has too many triangles.
@@ -44,6 +47,7 @@ pub fn read_binary(mut reader: impl Read, n_bytes: u64) -> Result<Draft, TextPro
     let declared = binary_bytes(&header).unwrap_or(0).min(n_bytes);
     let n_triangles = declared.saturating_sub(HEADER_BYTES as u64) as usize / TRIANGLE_BYTES;
     let mut corners = Welder::default();
+    let mut colors = Colors::new(&header[..TITLE_BYTES]);
     corners.builder.reserve_triangles(n_triangles)?;
     let mut batch = vec![0; BATCH.min(n_triangles) * TRIANGLE_BYTES];
     let mut n_left = n_triangles;
@@ -57,11 +61,14 @@ pub fn read_binary(mut reader: impl Read, n_bytes: u64) -> Result<Draft, TextPro
             for corner in numbers.as_chunks().0 {
                 corners.push(*corner)?;
             }
+            colors.push(corners.builder.n_triangles(), std::array::from_fn(|k| triangle[48 + k]));
             corners.end_polygon()?;
         }
         n_left -= n;
     }
-    Ok(corners.finish()?)
+    let mut draft = corners.finish()?;
+    colors.paint(&mut draft.mesh)?;
+    Ok(draft)
 }
 
 /// Reads a text STL. A facet of more than three corners is divided; several solids become one mesh.
@@ -228,7 +235,7 @@ mod tests {
         endsolid two facets\n";
 
     fn binary(triangles: &[[[f32; 3]; 3]]) -> Vec<u8> {
-        let mut bytes = [0; HEADER_BYTES - 4].to_vec();
+        let mut bytes = [0; TITLE_BYTES].to_vec();
         bytes.extend((triangles.len() as u32).to_le_bytes());
         for corners in triangles {
             bytes.extend([0; 12]);
@@ -264,6 +271,22 @@ mod tests {
         let mesh = binary_mesh(&binary(&corners));
         assert_eq!((mesh.vertices.len(), mesh.facing()), (statue.vertices.len(), statue.facing()));
         assert!((0..corners.len()).all(|triangle| mesh.corners(triangle) == Some(corners[triangle])));
+    }
+
+    #[test]
+    fn triangles_keep_their_colours() {
+        let [a, b, c, d] = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]];
+        let mut bytes = binary(&[[a, b, c], [c, b, d]]);
+        assert!(binary_mesh(&bytes).colors.is_empty());
+        let n = bytes.len();
+        bytes[n - 2..].copy_from_slice(&0xfc00_u16.to_le_bytes());
+        let (white, red) = ([255; 3], [255, 0, 0]);
+        let mesh = binary_mesh(&bytes);
+        assert_eq!(mesh.triangles, [[0, 1, 2], [4, 5, 3]]);
+        assert_eq!(mesh.colors, [white, white, white, red, red, red]);
+        bytes[..10].copy_from_slice(b"COLOR=\xff\x00\x00\xff");
+        bytes[n - 2..].copy_from_slice(&[0, 0x80]);
+        assert_eq!(binary_mesh(&bytes).colors[3], red);
     }
 
     #[test]
