@@ -23,6 +23,8 @@ pub struct Library {
     folder: String,
     /// Words in it that name images which are not read.
     others: BTreeSet<&'static str>,
+    /// Remarks on its materials, each once.
+    of_materials: BTreeSet<&'static str>,
 }
 
 /// Words that name images which are not read.
@@ -31,19 +33,22 @@ const OTHER_MAPS: [&str; 9] = ["map_Ks", "map_Ns", "map_Ps", "map_Bump", "bump",
 /// Programs write it for a texture that decides where a surface is.
 const CUTOFF: f32 = 0.5;
 
-/// The maps of a material that are read.
+/// The maps of a material, and how much light passes through it, of which many programs write both numbers.
 #[derive(Default)]
 struct Maps {
     color: Option<Map>,
     emissive: Option<Map>,
     roughness: Option<Map>,
     metallic: Option<Map>,
-    coverage: Option<String>,
+    coverage: Option<Map>,
     ambient: Option<String>,
+    has_transparency: bool,
+    /// `d`, which counts more than `Tr`, its complement.
+    opacity: Option<f32>,
+    transparency: Option<f32>,
 }
 
 /// A texture: its file, and how coordinates lead to it.
-#[derive(Clone)]
 struct Map {
     name: String,
     wrap: Wrap,
@@ -57,7 +62,6 @@ impl Library {
     pub fn read(&mut self, bytes: &[u8], folder: &str) {
         folder.clone_into(&mut self.folder);
         let mut maps = Maps::default();
-        let mut is_see_through = false;
         let n_before = self.materials.len();
         let bytes = bytes.strip_prefix(super::BYTE_ORDER_MARK).unwrap_or(bytes);
         for line in bytes.split(|&byte| matches!(byte, b'\n' | b'\r')) {
@@ -71,21 +75,25 @@ impl Library {
                 continue;
             }
             let Some(material) = self.materials[n_before..].last_mut() else { continue };
-            let number = || rest.split_whitespace().next()?.parse::<f32>().ok().map(|number| number.clamp(0.0, 1.0));
+            // `d -halo` has its number last.
+            let number = rest.split_whitespace().find_map(|word| word.parse::<f32>().ok());
+            let number = number.map(|number| number.clamp(0.0, 1.0));
             match word.to_ascii_lowercase().as_str() {
                 "kd" | "ke" if color(rest).is_none() => {
                     self.remarks.push(format!("{word} {rest} of a material is left out: its three values are numbers"));
                 }
                 "kd" => color(rest).into_iter().for_each(|[r, g, b]| material.base_color = [r, g, b, 1.0]),
                 "ke" => color(rest).into_iter().for_each(|color| material.emissive = color),
-                "pm" => number().into_iter().for_each(|number| material.metallic = number),
-                "pr" => number().into_iter().for_each(|number| material.roughness = number),
-                "d" => is_see_through |= number().is_some_and(|number| number < 1.0),
+                "pm" => number.into_iter().for_each(|number| material.metallic = number),
+                "pr" => number.into_iter().for_each(|number| material.roughness = number),
+                "d" => maps.opacity = number,
+                "tr" => maps.transparency = number,
                 "map_kd" => maps.color = Map::parse(rest),
                 "map_ke" => maps.emissive = Map::parse(rest),
                 "map_pr" => maps.roughness = Map::parse(rest),
                 "map_pm" => maps.metallic = Map::parse(rest),
-                "map_d" => maps.coverage = Map::parse(rest).map(|map| map.name),
+                "map_d" => maps.coverage = Map::parse(rest),
+                "map_tr" => maps.has_transparency = true,
                 "map_ka" => maps.ambient = Map::parse(rest).map(|map| map.name),
                 other => self.others.extend(OTHER_MAPS.iter().find(|it| it.eq_ignore_ascii_case(other))),
             }
@@ -97,9 +105,7 @@ impl Library {
                 "textures of {others} are left out: of a material, map_Kd, map_Ke, map_Pr, map_Pm and map_d are read"
             ));
         }
-        if is_see_through {
-            self.remarks.push("see-through materials are shown opaque".to_owned());
-        }
+        self.remarks.extend(std::mem::take(&mut self.of_materials).into_iter().map(str::to_owned));
     }
 
     /// Gives the last material, if any since `n_before`, its textures.
@@ -107,14 +113,29 @@ impl Library {
         if self.materials.len() == n_before {
             return;
         }
-        let Maps { color, emissive, roughness, metallic, coverage, ambient } = maps;
+        let Maps { color, emissive, roughness, metallic, ambient, .. } = maps;
         // Most programs repeat the colour there.
         if ambient.is_some_and(|name| color.as_ref().is_none_or(|map| map.name != name)) {
             self.others.insert("map_Ka");
         }
-        if color.is_none() && coverage.is_some() {
-            self.remarks.push("a texture of coverage (map_d) without one of colour (map_Kd) is left out".to_owned());
+        // Some programs repeat the coverage there.
+        if maps.has_transparency && maps.coverage.is_none() {
+            self.others.insert("map_Tr");
         }
+        let opacity = maps.opacity.or(maps.transparency.map(|transparency| 1.0 - transparency));
+        if opacity.is_some_and(|opacity| opacity < 1.0) {
+            self.of_materials.insert("see-through materials are shown opaque");
+        }
+        let fault = match (&maps.coverage, &color) {
+            (Some(_), None) => Some("a texture of coverage (map_d) without one of colour (map_Kd) is left out"),
+            // They become one image, with one way to it.
+            (Some(map), Some(color)) if (map.scale, map.offset) != (color.scale, color.offset) => {
+                Some("a texture of coverage (map_d) with other -s or -o than that of colour (map_Kd) is left out")
+            }
+            _ => None,
+        };
+        self.of_materials.extend(fault);
+        let coverage = maps.coverage.filter(|_| fault.is_none()).map(|map| map.name);
         // The same file has the coverage in its own fourth channel.
         let other_file = |map: &Map| coverage.clone().filter(|name| *name != map.name);
         let color_texture =
@@ -143,7 +164,7 @@ impl Library {
             material.metallic = full(material.metallic, has_metallic);
         }
         material.metallic_roughness_texture = glossy_texture;
-        material.alpha_cutoff = coverage.is_some_and(|_| color_texture.is_some()).then_some(CUTOFF);
+        material.alpha_cutoff = coverage.map(|_| CUTOFF);
         (material.base_color_texture, material.emissive_texture) = (color_texture, emissive_texture);
     }
 

@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 
 use super::*;
-use crate::formats::images::Channels;
+use crate::formats::images::{Channels, ImageSource};
 use crate::model::{
     material::{TextureUse, Wrap},
     mesh::Mesh,
@@ -164,11 +164,11 @@ fn a_byte_order_mark_is_no_part_of_the_first_line() {
 #[test]
 fn materials_follow_faces() {
     let obj = format!(
-        "mtllib a b.mtl\n{CORNERS}f 1 2 3\nusemtl red\nf 1 2 4\nusemtl picture one\nf 1 2 3 4\nusemtl lost\nf 1 2 3\nl 1 2\n"
+        "mtllib a b.mtl\n{CORNERS}f 1 2 3\nusemtl red\nf 1 2 4\nusemtl picture one\nvt 0 0\nf 1/1 2/1 3/1 4/1\nusemtl lost\nf 1 2 3\nl 1 2\n"
     );
     let library =
         b"# M\xfcller\nKd 9 9 9\nnewmtl red\r\nKd 1 0.5 0\nKe 0.25\nPr 0.5\nd 0.5\nnewmtl unused\nmap_Kd no.png\n\
-        newmtl picture one\nKd 0 0 0\nmap_Kd -s 2 4 1 -o 0.5 -clamp on C:\\scans\\W\xe4nde 1.png\nmap_d mask.png\n";
+        newmtl picture one\nKd 0 0 0\nmap_Kd -s 2 4 1 -o 0.5 -clamp on C:\\scans\\W\xe4nde 1.png\nmap_d -s 2 4 -o .5 mask.png\n";
     let draft = with_library(&obj, library);
     let materials = &draft.mesh.materials;
     assert_eq!(materials.of_triangles, [0, 1, 2, 2, 3]);
@@ -193,6 +193,45 @@ fn materials_follow_faces() {
 }
 
 #[test]
+fn coverage_lies_as_its_colour_does_and_transparency_is_told() {
+    let read = |library: &str| {
+        let mut read = Library::default();
+        read.read(format!("newmtl a\n{library}").as_bytes(), "");
+        (read.materials[0].alpha_cutoff, read.images, read.remarks)
+    };
+    let with_mask = ImageSource { channels: Channels::Coverage("m.png".to_owned()), ..ImageSource::file("c.png") };
+    for (color, coverage) in [
+        ("", "-imfchan m"),
+        ("", "-s 1 1 1 -o 0 0"),
+        ("-clamp on", ""),
+        ("-s 2 2 -o .5", "-o 0.5 0 -s 2 2 2 -clamp on"),
+    ] {
+        let library = format!("map_d {coverage} m.png\nmap_Tr m.png\nmap_Kd {color} c.png\n");
+        assert_eq!(read(&library), (Some(0.5), vec![with_mask.clone()], vec![]), "{library}");
+    }
+    let plain = vec![ImageSource::file("c.png")];
+    for (color, coverage) in [("", "-s 4 4"), ("-o 0.5", ""), ("-s 2 2", "-s 2 1")] {
+        let material = format!("map_Kd {color} c.png\nmap_d {coverage} m.png\n");
+        let told = "a texture of coverage (map_d) with other -s or -o than that of colour (map_Kd) is left out";
+        // Once, however many materials there are.
+        assert_eq!(read(&format!("{material}newmtl b\n{material}")), (None, plain.clone(), vec![told.to_owned()]));
+    }
+    let others = "textures of map_Tr are left out: of a material, map_Kd, map_Ke, map_Pr, map_Pm and map_d are read";
+    assert_eq!(read("map_Kd c.png\nmap_Tr m.png\n"), (None, plain, vec![others.to_owned()]));
+    let opaque = "see-through materials are shown opaque".to_owned();
+    for (library, is_told) in [
+        ("Tr 0.9", true),
+        ("d 1\nTr 1", false),
+        ("Tr 0\nd .5", true),
+        ("d -halo 0.5", true),
+        ("Tr 0", false),
+        ("d 1", false),
+    ] {
+        assert_eq!(read(library), (None, vec![], Vec::from_iter(is_told.then(|| opaque.clone()))), "{library}");
+    }
+}
+
+#[test]
 fn one_material_needs_no_list() {
     let faces = format!("mtllib a b.mtl\n{CORNERS}f 1 2 3\nf 1 2 4\n");
     let expected = Material { name: "m".to_owned(), base_color: [0.5, 0.5, 0.5, 1.0], ..Material::default() };
@@ -210,7 +249,7 @@ fn missing_materials_are_a_remark() {
     let mut library = Library::default();
     library.read(b"newmtl a\nnewmtl b\nmap_d -bm\nnewmtl c\nmap_d x.png\nmtllib a b.mtl\n", "");
     assert_eq!(library.materials.len(), 3);
-    assert!(library.images.is_empty() && library.remarks.len() == 2, "{library:?}");
+    assert!(library.images.is_empty() && library.remarks.len() == 1, "{library:?}");
     let mut library = Library::default();
     library.read(b"newmtl a\nKd red\nKe 1 0 0\n", "");
     assert_eq!(library.remarks, ["Kd red of a material is left out: its three values are numbers"]);
@@ -251,7 +290,7 @@ fn images_are_beside_their_file_of_materials() {
     let folder = tempfile::tempdir().unwrap();
     fs::create_dir(folder.path().join("looks")).unwrap();
     fs::write(folder.path().join("looks/a.mtl"), "newmtl m\nmap_Kd -colorspace sRGB deep/x.png\n").unwrap();
-    let obj = format!("mtllib looks\\a.mtl\n{CORNERS}f 1 2 3\n");
+    let obj = format!("mtllib looks\\a.mtl\n{CORNERS}vt 0 0\nf 1/1 2/1 3/1\n");
     let companions = Companions::beside(&folder.path().join("model.obj"));
     let draft = read_from(obj.as_bytes(), obj.len() as u64, &companions).unwrap();
     assert_eq!((&*draft.images[0].folder, &*draft.images[0].name), ("looks", "deep/x.png"));
