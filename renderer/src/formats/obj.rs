@@ -233,7 +233,25 @@ impl Model {
         }
         let library = read_libraries(&self.libraries, companions, &mut draft.remarks);
         assign_materials(&mut draft, library, &self.names, self.of_triangles);
+        if draft.mesh.texture_coordinates.is_empty() {
+            leave_textures_out(&mut draft);
+        }
         Ok(draft)
+    }
+}
+
+/// Leaves out the textures of a mesh that has no coordinates for them.
+fn leave_textures_out(draft: &mut Draft) {
+    draft.images.clear();
+    let mut has_textures = false;
+    for material in &mut draft.mesh.materials.materials {
+        material.keep_textures(|_| {
+            has_textures = true;
+            None
+        });
+    }
+    if has_textures {
+        draft.remarks.push("its textures are left out: it has no texture coordinates".to_owned());
     }
 }
 

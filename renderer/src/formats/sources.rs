@@ -135,7 +135,7 @@ mod tests {
     /// An OBJ with a material library and a texture, and one texture that is missing.
     fn model(folder: &Path) -> PathBuf {
         let path = folder.join("a.obj");
-        fs::write(&path, "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl m\nf 1 2 3\n").unwrap();
+        fs::write(&path, "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl m\nf 1/1 2/1 3/1\n").unwrap();
         fs::write(folder.join("a.mtl"), "newmtl m\nmap_Kd b.png\nmap_Ke c.png\n").unwrap();
         fs::write(folder.join("b.png"), "no image").unwrap();
         sleep(2 * CLOCK_STEP);

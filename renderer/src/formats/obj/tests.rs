@@ -232,6 +232,20 @@ fn coverage_lies_as_its_colour_does_and_transparency_is_told() {
 }
 
 #[test]
+fn textures_without_coordinates_are_told() {
+    let obj = format!("mtllib a b.mtl\n{CORNERS}usemtl a\nf 1 2 3\n");
+    let library = b"newmtl a\nKd 0.5 0.5 0.5\nmap_Kd a.png\nnewmtl b\nmap_Kd b.png\n";
+    let draft = with_library(&obj, library);
+    assert_eq!(draft.remarks, ["its textures are left out: it has no texture coordinates"]);
+    let material = &draft.mesh.materials.materials[0];
+    assert_eq!((material.base_color_texture, material.base_color[0], draft.images.len()), (None, 0.5, 0));
+    let other = with_library(&obj.replace("usemtl a", "usemtl c"), library);
+    assert_eq!(other.remarks, ["materials that none of its files of materials has: 1 of 1"]);
+    let whole = with_library(&obj.replace("usemtl a\nf 1 2 3", "vt 0 0\nusemtl a\nf 1/1 2/1 3/1"), library);
+    assert_eq!((whole.remarks.len(), whole.images.len()), (0, 2));
+}
+
+#[test]
 fn one_material_needs_no_list() {
     let faces = format!("mtllib a b.mtl\n{CORNERS}f 1 2 3\nf 1 2 4\n");
     let expected = Material { name: "m".to_owned(), base_color: [0.5, 0.5, 0.5, 1.0], ..Material::default() };
