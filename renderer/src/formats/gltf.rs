@@ -50,9 +50,10 @@ pub enum Problem {
 }
 
 /// Extensions that may be required: those that are read, and those without effect on shape and base colour.
-const KNOWN: [&str; 19] = [
+const KNOWN: [&str; 20] = [
     "KHR_mesh_quantization",
     "EXT_mesh_gpu_instancing",
+    "KHR_node_visibility",
     "EXT_meshopt_compression",
     "KHR_meshopt_compression",
     "KHR_draco_mesh_compression",
@@ -151,7 +152,7 @@ fn read_parts(json: &[u8], binary: &[u8], companions: &Companions) -> Result<Dra
     let n_before = remarks.len();
     let instances = nodes::instances(&document, &buffers, &mut remarks);
     if instances.is_empty() && remarks.len() == n_before {
-        return Err(Problem::Nothing("its scene has no meshes".to_owned()));
+        return Err(Problem::Nothing("its scene has no meshes, or hides them".to_owned()));
     }
     for instance in instances {
         geometry.add(&instance)?;

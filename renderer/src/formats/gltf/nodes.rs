@@ -25,7 +25,7 @@ pub(super) struct Instance {
     pub(super) is_blended: bool,
 }
 
-/// The meshes of the scene in the order of its nodes, each node once.
+/// The meshes of the scene in the order of its nodes, each node once, but those that are hidden.
 pub(super) fn instances(document: &Document<'_>, buffers: &Buffers<'_>, remarks: &mut Vec<String>) -> Vec<Instance> {
     let (order, transforms, is_tree) = place(document);
     if !is_tree {
@@ -59,7 +59,7 @@ pub(super) fn instances(document: &Document<'_>, buffers: &Buffers<'_>, remarks:
     instances
 }
 
-/// Nodes of the scene from the root on, the transform of every node, and whether the nodes form a tree.
+/// Visible nodes of the scene from the root on, the transform of every node, and whether the nodes form a tree.
 fn place(document: &Document<'_>) -> (Vec<usize>, Vec<DMat4>, bool) {
     let nodes = &document.nodes;
     let mut transforms = vec![DMat4::IDENTITY; nodes.len()];
@@ -68,16 +68,19 @@ fn place(document: &Document<'_>) -> (Vec<usize>, Vec<DMat4>, bool) {
     let mut is_tree = true;
     let scene = document.scenes.get(document.scene.unwrap_or(0));
     let roots = scene.map_or_else(|| roots(document), |scene| scene.nodes.clone());
-    let mut waiting: Vec<_> = roots.into_iter().rev().map(|node| (node, DMat4::IDENTITY)).collect();
-    while let Some((index, parent)) = waiting.pop() {
+    let mut waiting: Vec<_> = roots.into_iter().rev().map(|node| (node, DMat4::IDENTITY, true)).collect();
+    while let Some((index, parent, is_visible)) = waiting.pop() {
         if is_seen.get(index) != Some(&false) {
             is_tree = false;
             continue;
         }
         is_seen[index] = true;
-        transforms[index] = parent * local(&nodes[index]);
-        order.push(index);
-        waiting.extend(nodes[index].children.iter().rev().map(|&child| (child, transforms[index])));
+        let node = &nodes[index];
+        transforms[index] = parent * local(node);
+        // A hidden node hides those below it, but joints among them move what is seen.
+        let is_visible = is_visible && node.extensions.visibility.as_ref().and_then(|it| it.visible) != Some(false);
+        order.extend(is_visible.then_some(index));
+        waiting.extend(node.children.iter().rev().map(|&child| (child, transforms[index], is_visible)));
     }
     (order, transforms, is_tree)
 }

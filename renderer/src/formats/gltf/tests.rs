@@ -94,6 +94,24 @@ fn models_far_from_zero_keep_their_digits() {
 }
 
 #[test]
+fn hidden_nodes_hide_those_below_them_and_still_move_what_is_seen() {
+    let more = |visible: &str| {
+        format!(
+            r#""extensionsRequired":["KHR_node_visibility"],"scenes":[{{"nodes":[0,1]}}],"nodes":[{{"mesh":0}},
+            {{"mesh":0,"children":[2],"extensions":{{"KHR_node_visibility":{{{visible}}}}}}},
+            {{"mesh":0,"extensions":{{"KHR_node_visibility":{{"visible":true}}}}}}],"meshes":[{{"primitives":[{PRIMITIVE}]}}]"#
+        )
+    };
+    for (visible, n_triangles) in [(r#""visible":false"#, 2), (r#""visible":true"#, 6), ("", 6)] {
+        let draft = draft(&more(visible));
+        assert_eq!((draft.mesh.triangles.len(), draft.remarks.len()), (n_triangles, 0), "{visible}");
+    }
+    let all = more(r#""visible":false"#).replace("[0,1]", "[1]");
+    let told = parse(&glb(&format!("{all},{ACCESSORS}"), &square())).unwrap_err().to_string();
+    assert_eq!(told, "holds nothing that can be shown: its scene has no meshes, or hides them");
+}
+
+#[test]
 fn nodes_that_come_again_are_left_out() {
     let draft = draft(&format!(
         r#""scenes":[{{"nodes":[0,0,9]}}],"nodes":[{{"mesh":0,"children":[0,1]}},{{"children":[0]}}],
@@ -441,6 +459,9 @@ fn skeletons_are_shown_at_rest() {
     let draft = parse(&glb(&more, &binary)).unwrap();
     assert_eq!(draft.mesh.vertices, [[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 1.0, 3.0]]);
     assert_eq!(draft.remarks, ["its skeletons are shown at rest"]);
+    let hidden = more
+        .replace(r#"{},{"translation""#, r#"{},{"extensions":{"KHR_node_visibility":{"visible":false}},"translation""#);
+    assert_eq!(parse(&glb(&hidden, &binary)).unwrap().mesh.vertices, draft.mesh.vertices);
 }
 
 #[test]
@@ -646,10 +667,13 @@ fn faults_are_told_in_one_line() {
         (error(&whole[..whole.len() - 1]), "is cut short: "),
         (text(r#"{"asset":{"version":"1.0"},"nodes":{}}"#), "has version 1.0 of glTF"),
         (text(r#"{"asset":{"version":1},"nodes":{}}"#), "has version 1 of glTF"),
-        (text(r#"{"asset":{"version":"2.0"}}"#), "holds nothing that can be shown: its scene has no meshes"),
+        (
+            text(r#"{"asset":{"version":"2.0"}}"#),
+            "holds nothing that can be shown: its scene has no meshes, or hides them",
+        ),
         (
             text(r#"{"asset":{"version":"2.0"},"nodes":[{}],"animations":[{}]}"#),
-            "holds nothing that can be shown: its scene has no meshes",
+            "holds nothing that can be shown: its scene has no meshes, or hides them",
         ),
         (text(r#"{"scenes":[]}"#), "is no glTF 2.0: missing field `asset`"),
         (text(r#"{"asset":{"version":"2.0"},"nodes":3}"#), "is no glTF 2.0: invalid type"),
