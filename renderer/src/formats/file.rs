@@ -78,7 +78,7 @@ pub enum Problem {
     Ply(#[from] ply::Problem),
     #[error("{0}{cure}", cure = if let TextProblem::Line { .. } = .0 { COPY_AGAIN } else { "" })]
     Text(#[from] TextProblem),
-    #[error("{0}{cure}", cure = if let gltf::Problem::TooShort { .. } = .0 { COPY_AGAIN } else { "" })]
+    #[error("{0}{cure}", cure = cure_of_gltf(.0))]
     Gltf(#[from] gltf::Problem),
 }
 
@@ -88,10 +88,18 @@ const COPY_AGAIN: &str = "; copy the file again, or export the model again";
 const EXPORT_AGAIN: &str = "; export the model again, for example with Blender or MeshLab";
 
 fn cure_of_ply(problem: &ply::Problem) -> &'static str {
-    use ply::Problem::{Header, HeaderEnds, HeaderLine, Missing, Row, TooShort};
+    use ply::Problem::{Assembly, HeaderEnds, Io, Row, TooShort};
     match problem {
+        Io(_) | Assembly(_) => "",
         HeaderEnds | TooShort { .. } | Row { .. } => COPY_AGAIN,
-        HeaderLine { .. } | Header(_) | Missing { .. } => EXPORT_AGAIN,
+        _ => EXPORT_AGAIN,
+    }
+}
+
+fn cure_of_gltf(problem: &gltf::Problem) -> &'static str {
+    use gltf::Problem::{Document, JsonTooShort, Nothing, TooDamaged, TooShort};
+    match problem {
+        Document(_) | JsonTooShort { .. } | Nothing(_) | TooDamaged(_) | TooShort { .. } => COPY_AGAIN,
         _ => "",
     }
 }
@@ -232,6 +240,13 @@ mod tests {
             (ply.replace("float y", "bool y"), "; export the model again, for example with Blender or MeshLab"),
             ("v 0 0 0\nv 1 0 x\nf 1 2 1\n".to_owned(), "; copy the file again, or export the model again"),
             ("glTF\u{2}\0\0\0@\0\0\0\u{20}\0\0\0JSON{}".to_owned(), "; copy the file again, or export the model again"),
+            ("{\"asset\":{\"vers".to_owned(), "; copy the file again, or export the model again"),
+            ("{\"nodes\":[]}".to_owned(), "; copy the file again, or export the model again"),
+            ("{\"asset\":{\"version\":\"2.0\"}}".to_owned(), "; copy the file again, or export the model again"),
+            (
+                ply.replace("element face 1", "element vertex 1"),
+                "; export the model again, for example with Blender or MeshLab",
+            ),
         ] {
             std::fs::write(&path, text).unwrap();
             let told = read(&path, &|_| ()).unwrap_err().to_string();

@@ -42,7 +42,12 @@ pub(super) fn fault(start: &[u8], n_bytes: u64) -> String {
     } else if is_utf_16(start) {
         "is text in UTF-16: save it as UTF-8".to_owned()
     } else if let Some(needed) = stl::binary_bytes(start).filter(|_| stl::begins_with_triangle(start)) {
-        format!("is a binary STL that is cut short: its header needs {needed} bytes, it has {n_bytes}; copy it again")
+        match needed > n_bytes {
+            true => format!(
+                "is a binary STL that is cut short: its header needs {needed} bytes, it has {n_bytes}; copy it again"
+            ),
+            false => "is a binary STL whose header counts no triangles: export the model again".to_owned(),
+        }
     } else {
         "is no model that is read (PLY, OBJ, STL, glTF, GLB), or its beginning is damaged: export it again in one of \
             these formats"
@@ -83,6 +88,8 @@ mod tests {
         stl.extend(
             [0.0_f32, 0.0, 1.0, 0.5, 2.0, 3.0, 1.5, 2.0, 3.0, 0.5, 4.0, 3.0].iter().flat_map(|x| x.to_le_bytes()),
         );
+        let mut uncounted = stl.clone();
+        uncounted[80] = 0;
         let noise: Vec<u8> = (0..200_u32).map(|i| (i * i * 37 + 11 * i + 130) as u8).collect();
         for (bytes, expected) in [
             (Vec::new(), "is empty: copy or export"),
@@ -94,6 +101,7 @@ mod tests {
             (b" <!DOCTYPE HTML>".to_vec(), "is a web page"),
             (b"LASF\0\0".to_vec(), "is a point cloud"),
             (stl, "is a binary STL that is cut short: its header needs 534 bytes, it has 132"),
+            (uncounted, "is a binary STL whose header counts no triangles: export the model again"),
             (noise, "is no model that is read"),
             (b"OFFICE".to_vec(), "is no model that is read"),
         ] {

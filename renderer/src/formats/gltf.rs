@@ -41,8 +41,14 @@ pub enum Problem {
     Version(String),
     #[error("is cut short: {needed} bytes are needed, it has {n_bytes}")]
     TooShort { needed: u64, n_bytes: u64 },
+    #[error("is cut short: its JSON breaks off in line {line}, column {column}")]
+    JsonTooShort { line: usize, column: usize },
     #[error("holds nothing that can be shown: {0}")]
     Nothing(String),
+    #[error("holds no triangles: {0}")]
+    NoTriangles(String),
+    #[error("holds too many damaged meshes: {0}")]
+    TooDamaged(String),
     #[error("repeats its meshes to more than {0} triangles: export fewer copies")]
     TooManyCopies(u64),
     #[error(transparent)]
@@ -160,14 +166,19 @@ fn read_parts(json: &[u8], binary: &[u8], companions: &Companions) -> Result<Dra
     let mut draft = geometry.finish(remarks);
     if draft.mesh.triangles.is_empty() {
         draft.remarks.extend(draft.remarks.is_empty().then(|| "its meshes have no triangles".to_owned()));
-        return Err(Problem::Nothing(draft.remarks.join("; ")));
+        let has_points = draft.remarks.iter().any(|remark| remark.starts_with(geometry::POINTS));
+        let problem = if has_points { Problem::NoTriangles } else { Problem::Nothing };
+        return Err(problem(draft.remarks.join("; ")));
     }
     draft.mesh.up = Some(UpAxis::Y);
     Ok(draft)
 }
 
 fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T, Problem> {
-    serde_json::from_slice(json).map_err(|error| Problem::Document(error.to_string()))
+    serde_json::from_slice(json).map_err(|error| match error.is_eof() {
+        true => Problem::JsonTooShort { line: error.line(), column: error.column() },
+        false => Problem::Document(error.to_string()),
+    })
 }
 
 /// The longest JSON that is mended: in between it takes many times its bytes.

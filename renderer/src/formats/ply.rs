@@ -144,7 +144,14 @@ fn read_rows<E: PropertyAccess>(
         };
         take(&parsed.map_err(|error| {
             let cut = error.kind() == io::ErrorKind::UnexpectedEof;
-            problem(row, if cut { ENDS_HERE.to_owned() } else { error.to_string().replace("\n\t", " ") })
+            problem(
+                row,
+                if cut {
+                    ENDS_HERE.to_owned()
+                } else {
+                    error.to_string().replace("\n\t", " ").trim_end_matches('.').to_owned()
+                },
+            )
         })?)?;
     }
     Ok(())

@@ -26,6 +26,8 @@ const FAR: f64 = 1024.0;
 const MOST_COPIES: u64 = 1 << 25;
 /// A primitive without elements takes about as long as this many.
 const ELEMENTS_OF_PRIMITIVE: u64 = 16;
+/// Why a primitive without triangles is left out.
+pub(super) const POINTS: &str = "points and lines are left out: a point cloud must be meshed first";
 
 /// The mesh so far.
 pub(super) struct Geometry<'a> {
@@ -44,6 +46,8 @@ pub(super) struct Geometry<'a> {
     /// Elements that were gone through, and their limit: nodes can repeat a mesh without end.
     n_elements: u64,
     most_elements: u64,
+    /// Those among them of primitives that are left out, and why the last of these is.
+    in_vain: (u64, String),
 }
 
 /// The numbers of a primitive.
@@ -78,6 +82,7 @@ impl<'a> Geometry<'a> {
             faults: BTreeMap::new(),
             n_elements: 0,
             most_elements: MOST_COPIES.saturating_add(n_bytes),
+            in_vain: (0, String::new()),
         }
     }
 
@@ -94,7 +99,7 @@ impl<'a> Geometry<'a> {
         for primitive in &mesh.primitives {
             self.count(ELEMENTS_OF_PRIMITIVE)?;
             if !(4..=6).contains(&primitive.mode) {
-                self.note("points and lines are left out: a point cloud must be meshed first".to_owned());
+                self.note(POINTS.to_owned());
                 continue;
             }
             let view = primitive.extensions.draco.as_deref().map(|compressed| compressed.buffer_view);
@@ -103,6 +108,7 @@ impl<'a> Geometry<'a> {
                 continue;
             }
             let draco = view.and_then(|view| self.decompressed.remove(&view));
+            let n_before = self.n_elements;
             let added = match &draco {
                 Some(Ok(draco)) => self.add_primitive(primitive, Some(draco), instance),
                 _ => self.add_primitive(primitive, None, instance),
@@ -112,6 +118,7 @@ impl<'a> Geometry<'a> {
             }
             if let Err(fault) = added? {
                 self.note(format!("a mesh is left out: {fault}"));
+                self.in_vain = (self.in_vain.0 + self.n_elements - n_before, fault);
             }
         }
         Ok(())
@@ -120,7 +127,9 @@ impl<'a> Geometry<'a> {
     /// Counts elements before they are gone through, also in vain.
     fn count(&mut self, n: u64) -> Result<(), Problem> {
         self.n_elements += n;
+        let (n_in_vain, fault) = &self.in_vain;
         match self.n_elements > self.most_elements.saturating_mul(4) {
+            true if *n_in_vain > self.n_elements / 2 => Err(Problem::TooDamaged(fault.clone())),
             true => Err(Problem::TooManyCopies(self.most_elements)),
             false => Ok(()),
         }

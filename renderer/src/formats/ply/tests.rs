@@ -361,7 +361,7 @@ fn huge_claims_are_refused_at_once() {
     };
     let mut bytes = header("int", "18446744073709551615").into_bytes();
     bytes.extend((-1i32).to_be_bytes());
-    assert_eq!(error_text(&bytes), "row 0 of element `face`: List length cannot be negative (i32).");
+    assert_eq!(error_text(&bytes), "row 0 of element `face`: List length cannot be negative (i32)");
     let mut bytes = header("uint", "1").into_bytes();
     bytes.extend(u32::MAX.to_be_bytes());
     assert_eq!(error_text(&bytes), "row 0 of element `face`: the file ends here");
