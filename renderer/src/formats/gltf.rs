@@ -2,7 +2,7 @@
 //! and transformed textures.
 //!
 //! [`document`] is the JSON, [`buffers`] and [`accessor`] are its numbers, [`nodes`] places meshes, [`geometry`] puts their
-//! triangles together, [`look`] reads materials. Nothing in a file is trusted: what is missing or damaged is left out with a
+//! triangles together, [`look`] reads materials, [`images`] finds the images that they show. Nothing in a file is trusted: what is missing or damaged is left out with a
 //! remark, unless nothing remains.
 
 mod accessor;
@@ -10,6 +10,7 @@ mod buffers;
 mod document;
 mod draco;
 mod geometry;
+mod images;
 mod look;
 mod meshopt;
 mod nodes;

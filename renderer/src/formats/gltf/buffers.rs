@@ -71,7 +71,8 @@ impl<'a> Buffers<'a> {
         }
     }
 
-    fn part(&self, buffer: usize, start: usize, n_bytes: usize) -> Result<&[u8], String> {
+    /// The bytes of a part of a buffer.
+    pub(super) fn part(&self, buffer: usize, start: usize, n_bytes: usize) -> Result<&[u8], String> {
         let first = *self.firsts.get(buffer).ok_or_else(|| format!("there is no buffer {buffer}"))?;
         let bytes = self.buffers[first].as_ref()?;
         let end = start.saturating_add(n_bytes);

@@ -5,68 +5,35 @@ use std::collections::{HashMap, HashSet};
 use crate::formats::{
     file::Draft,
     gltf::{
-        buffers::{Buffers, data_of, file_name},
-        document::{
-            AlphaMode, Document, Image, Material as Described, MetallicRoughness, SpecularGlossiness, TextureInfo,
-        },
+        buffers::Buffers,
+        document::{AlphaMode, Document, Material as Described, MetallicRoughness, SpecularGlossiness, TextureInfo},
+        images::Images,
     },
-    images::{Channels, Glossy, ImageSource, Role},
     specular::Factors,
 };
 use crate::model::material::{Material, TextureUse, Wrap};
 
 /// Where a blended surface is half there, it is there.
 const BLEND_CUTOFF: f32 = 0.5;
-/// How often an image may become part of others: as with several factors for one atlas.
-const MOST_PARTS: usize = 4;
 
 /// The materials that triangles use.
 pub(super) struct Look<'a> {
     document: &'a Document<'a>,
-    buffers: &'a Buffers<'a>,
     materials: Vec<Material>,
     /// The number of each material of the document that is used.
     numbers: HashMap<usize, u16>,
-    images: Vec<ImageSource>,
-    /// The number of each image of the document that is used, if it is there.
-    image_numbers: HashMap<usize, Option<u32>>,
-    /// The same by its place: the document may list an image again and again.
-    of_places: HashMap<Place<'a>, Option<u32>>,
-    /// Bytes of buffers that are not in images yet.
-    n_bytes_left: usize,
-    /// The first of the two images that diffuse and specular images become.
-    metals: HashMap<GlossyImages, u32>,
-    /// How often an image has become part of others.
-    n_parts: HashMap<u32, usize>,
+    images: Images<'a>,
     remarks: Vec<String>,
     said: HashSet<String>,
-}
-
-/// The images of a diffuse and a specular colour, and the factors that change them.
-type GlossyImages = ([Option<u32>; 2], Factors);
-
-/// Where an image's bytes are.
-#[derive(PartialEq, Eq, Hash)]
-enum Place<'a> {
-    /// In a URI, or in the file that it names.
-    Uri(&'a str),
-    /// In a buffer, from an offset on, and how many.
-    Bytes { buffer: usize, start: usize, n: usize },
 }
 
 impl<'a> Look<'a> {
     pub(super) fn new(document: &'a Document<'a>, buffers: &'a Buffers<'a>) -> Self {
         Self {
             document,
-            buffers,
             materials: Vec::new(),
             numbers: HashMap::new(),
-            images: Vec::new(),
-            image_numbers: HashMap::new(),
-            of_places: HashMap::new(),
-            n_bytes_left: buffers.n_bytes,
-            metals: HashMap::new(),
-            n_parts: HashMap::new(),
+            images: Images::new(document, buffers),
             remarks: Vec::new(),
             said: HashSet::new(),
         }
@@ -169,7 +136,11 @@ impl<'a> Look<'a> {
             factors = factors.of_dielectric();
         }
         if specular_texture.is_some() || diffuse_texture.is_some() && !factors.is_dielectric() {
-            if let Some([color, metal]) = self.metal([diffuse_texture, specular_texture], factors) {
+            let pair = self.images.metal([diffuse_texture, specular_texture], factors);
+            if pair.is_none() {
+                self.say("a texture of reflections that belongs to several others is left out".to_owned());
+            }
+            if let Some([color, metal]) = pair {
                 return Material {
                     base_color: [1.0, 1.0, 1.0, coverage],
                     base_color_texture: Some(color),
@@ -202,9 +173,13 @@ impl<'a> Look<'a> {
             return None;
         };
         let source = texture.extensions.webp.as_ref().and_then(|webp| webp.source).or(texture.source);
-        let Some(image) = source.and_then(|source| self.image(source)) else {
-            self.say(format!("texture {} has no image that is read (PNG, JPEG, WebP)", info.index));
-            return None;
+        let image = source.ok_or_else(|| "it has no image that is read (PNG, JPEG, WebP)".to_owned());
+        let image = match image.and_then(|source| self.images.number(source)) {
+            Ok(image) => image,
+            Err(fault) => {
+                self.say(format!("texture {} is left out: {fault}", info.index));
+                return None;
+            }
         };
         let sampler = texture.sampler.and_then(|sampler| self.document.samplers.get(sampler));
         let wrap = |mode: Option<u32>| match mode {
@@ -216,97 +191,14 @@ impl<'a> Look<'a> {
         Some(TextureUse { image, wrap, transform: transform(info) })
     }
 
-    /// The textures of the base colour, and of roughness and metallic, that a diffuse and a specular texture become.
-    ///
-    /// An image has a part in [`MOST_PARTS`] such pairs: a few images must not become thousands.
-    fn metal(&mut self, textures: [Option<TextureUse>; 2], factors: Factors) -> Option<[TextureUse; 2]> {
-        let images = textures.map(|texture| texture.map(|texture| texture.image));
-        let glossy = (images, factors);
-        let parts = || images.into_iter().flatten();
-        let first = match self.metals.get(&glossy) {
-            Some(&first) => first,
-            None if parts().any(|image| self.n_parts.get(&image) == Some(&MOST_PARTS)) => {
-                self.say("a texture of reflections that belongs to several others is left out".to_owned());
-                return None;
-            }
-            None => {
-                let source = |image: u32| self.images[image as usize].clone();
-                let (source, role) = match images.map(|image| image.map(source)) {
-                    [Some(diffuse), Some(specular)] => (diffuse, Role::DiffuseBeside(specular)),
-                    [Some(diffuse), None] => (diffuse, Role::Diffuse),
-                    [None, Some(specular)] => (specular, Role::Specular),
-                    [None, None] => return None,
-                };
-                let first = self.images.len() as u32;
-                for channels in [Channels::BaseColorOfGlossy, Channels::MetalOfGlossy] {
-                    let channels = channels(Box::new(Glossy { role: role.clone(), factors }));
-                    self.images.push(ImageSource { channels, ..source.clone() });
-                }
-                self.metals.insert(glossy, first);
-                parts().for_each(|image| *self.n_parts.entry(image).or_default() += 1);
-                first
-            }
-        };
-        let [diffuse, specular] = textures;
-        let texture = diffuse.or(specular)?;
-        Some([first, first + 1].map(|image| TextureUse { image, ..texture }))
-    }
-
-    /// The number of an image of the document; `None` if it has none that can be had.
-    fn image(&mut self, index: usize) -> Option<u32> {
-        if let Some(&number) = self.image_numbers.get(&index) {
-            return number;
-        }
-        let image = self.document.images.get(index)?;
-        let place = match (image.uri.as_deref(), image.buffer_view) {
-            (Some(uri), _) => Place::Uri(uri),
-            (None, Some(view)) => {
-                let view = self.document.buffer_views.get(view)?;
-                Place::Bytes { buffer: view.buffer, start: view.byte_offset, n: view.byte_length }
-            }
-            (None, None) => return None,
-        };
-        let number = match self.of_places.get(&place) {
-            Some(&number) => number,
-            None => {
-                let number = self.image_source(index, image).map(|source| {
-                    self.images.push(source);
-                    self.images.len() as u32 - 1
-                });
-                self.of_places.insert(place, number);
-                number
-            }
-        };
-        self.image_numbers.insert(index, number);
-        number
-    }
-
-    fn image_source(&mut self, index: usize, image: &Image<'_>) -> Option<ImageSource> {
-        if let Some(uri) = image.uri.as_deref() {
-            return match uri.strip_prefix("data:") {
-                Some(data) => Some(embedded(index, data_of(data).ok()?)),
-                None => Some(ImageSource::file(file_name(uri))),
-            };
-        }
-        let (bytes, _) = self.buffers.view(self.document, image.buffer_view?).ok()?;
-        // Images do not share bytes, so all of them together have no more than the file.
-        let Some(n_left) = self.n_bytes_left.checked_sub(bytes.len()) else {
-            self.say("images share their bytes: export the model again".to_owned());
-            return None;
-        };
-        self.n_bytes_left = n_left;
-        Some(embedded(index, bytes.to_vec()))
-    }
-
     /// Gives a draft the materials, and says what was left out. `of_triangles` holds 0 for no material, or its number plus 1.
     pub(super) fn finish(self, draft: &mut Draft, of_triangles: Vec<u16>) {
         let Self { mut materials, images, remarks, .. } = self;
         draft.remarks.extend(remarks);
-        draft.images = images;
+        draft.images = images.finish(&mut materials);
         if materials.is_empty() {
             return;
         }
-        drop_unused(&mut materials, &mut draft.images);
         let look = &mut draft.mesh.materials;
         let has_bare = of_triangles.contains(&0);
         if has_bare {
@@ -319,29 +211,6 @@ impl<'a> Look<'a> {
             }
         }
         look.materials = materials;
-    }
-}
-
-/// Drops images that became parts of others.
-fn drop_unused(materials: &mut [Material], images: &mut Vec<ImageSource>) {
-    let textures = |material: &Material| {
-        [material.base_color_texture, material.metallic_roughness_texture, material.emissive_texture]
-    };
-    let used: HashSet<u32> = materials.iter().flat_map(textures).flatten().map(|texture| texture.image).collect();
-    let places: Vec<_> = (0..images.len() as u32)
-        .scan(0, |n, image| {
-            let place = *n;
-            *n += u32::from(used.contains(&image));
-            Some(place)
-        })
-        .collect();
-    let mut number = 0..;
-    images.retain(|_| number.next().is_some_and(|number| used.contains(&number)));
-    for material in materials {
-        let Material { base_color_texture, metallic_roughness_texture, emissive_texture, .. } = material;
-        for texture in [base_color_texture, metallic_roughness_texture, emissive_texture].into_iter().flatten() {
-            texture.image = places[texture.image as usize];
-        }
     }
 }
 
@@ -358,10 +227,6 @@ fn first_texture(material: &Described) -> Option<&TextureInfo> {
 /// A factor, which is 1 if the file has none.
 fn unit(factor: Option<f32>) -> f32 {
     factor.unwrap_or(1.0).clamp(0.0, 1.0)
-}
-
-fn embedded(index: usize, bytes: Vec<u8>) -> ImageSource {
-    ImageSource { bytes: Some(bytes), ..ImageSource::file(format!("image {index}")) }
 }
 
 /// Scaled, then turned, then moved.

@@ -8,10 +8,10 @@ use crate::formats::{
     images::{Channels, Glossy, ImageSource, Role},
     specular::Factors,
 };
-use crate::model::material::{Material, TextureUse, Wrap};
+use crate::model::material::{TextureUse, Wrap};
 
 /// A square of 0, 1, 2 and 3 in positions, then indices 0 1 2 2 1 3 as bytes, then texture coordinates in sixteen bits.
-fn square() -> Vec<u8> {
+pub(super) fn square() -> Vec<u8> {
     let positions = [[0.0_f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]];
     let mut bytes: Vec<u8> = positions.as_flattened().iter().flat_map(|x| x.to_le_bytes()).collect();
     bytes.extend([0, 1, 2, 2, 1, 3, 0, 0]);
@@ -19,14 +19,14 @@ fn square() -> Vec<u8> {
     bytes
 }
 
-const ACCESSORS: &str = r#""accessors":[
+pub(super) const ACCESSORS: &str = r#""accessors":[
     {"bufferView":0,"componentType":5126,"count":4,"type":"VEC3"},
     {"bufferView":0,"byteOffset":48,"componentType":5121,"count":6,"type":"SCALAR"},
     {"bufferView":0,"byteOffset":56,"componentType":5123,"normalized":true,"count":4,"type":"VEC2"}],
     "bufferViews":[{"buffer":0,"byteLength":72}],"buffers":[{"byteLength":72}]"#;
 
 /// A GLB of the square, with more properties in the JSON.
-fn glb(more: &str, binary: &[u8]) -> Vec<u8> {
+pub(super) fn glb(more: &str, binary: &[u8]) -> Vec<u8> {
     let json = format!(r#"{{"asset":{{"version":"2.0"}},{more}}}"#);
     let mut glb = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
     for (kind, chunk) in [(JSON, json.as_bytes()), (BINARY, binary)] {
@@ -37,15 +37,15 @@ fn glb(more: &str, binary: &[u8]) -> Vec<u8> {
     glb
 }
 
-fn parse(glb: &[u8]) -> Result<Draft, Problem> {
+pub(super) fn parse(glb: &[u8]) -> Result<Draft, Problem> {
     read_binary(glb, glb.len() as u64, &Companions::default())
 }
 
-fn draft(more: &str) -> Draft {
+pub(super) fn draft(more: &str) -> Draft {
     parse(&glb(&format!("{more},{ACCESSORS}"), &square())).unwrap_or_else(|problem| panic!("{problem}"))
 }
 
-const PRIMITIVE: &str = r#"{"attributes":{"POSITION":0,"TEXCOORD_0":2},"indices":1}"#;
+pub(super) const PRIMITIVE: &str = r#"{"attributes":{"POSITION":0,"TEXCOORD_0":2},"indices":1}"#;
 
 fn with_primitive(primitive: &str) -> Draft {
     draft(&format!(r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{primitive}]}}]"#))
@@ -163,7 +163,7 @@ fn materials_textures_and_their_transforms_are_read() {
         [
             "needs X_unknown, which is not read: parts may be missing; export without it",
             "a texture with coordinates of its own is left out",
-            "texture 1 has no image that is read (PNG, JPEG, WebP)",
+            "texture 1 is left out: there is no image 7",
             "textures of normals are left out: light falls by the normals of vertices",
             "material `stone` is see-through: it is shown where it is half there or more"
         ]
@@ -180,57 +180,6 @@ fn unlit_materials_keep_their_colours() {
     assert_eq!((material.is_unlit, material.base_color, material.emissive), (true, [0.5, 0.25, 0.0, 1.0], [0.0; 3]));
     assert_eq!(draft.remarks, ["its unlit materials keep their colours in any light"]);
     assert!(!with_material("{}").mesh.materials.materials[0].is_unlit);
-}
-
-#[test]
-fn diffuse_and_specular_images_become_base_colour_and_metal() {
-    let texture = |index: u32| format!(r#"{{"index":{index}}}"#);
-    let glossy = |more: &str| {
-        format!(
-            r#"{{"extensions":{{"KHR_materials_pbrSpecularGlossiness":{{"glossinessFactor":0.25,"diffuseTexture":{}{more}}}}}}}"#,
-            texture(1)
-        )
-    };
-    let images = r#","textures":[{"source":0},{"source":1}],"images":[{"uri":"s.png"},{"uri":"d.png"}]"#;
-    let draft = |more: &str| with_material_and(&glossy(more), images);
-    let both = draft(&format!(r#","specularGlossinessTexture":{}"#, texture(0)));
-    let material = &both.mesh.materials.materials[0];
-    let image = |texture: Option<TextureUse>| both.images[texture.unwrap().image as usize].clone();
-    let diffuse = ImageSource::file("d.png");
-    let factors = Factors::new([1.0; 3], [1.0; 3], 0.25);
-    let glossy_images = || Box::new(Glossy { role: Role::DiffuseBeside(ImageSource::file("s.png")), factors });
-    let channels = Channels::BaseColorOfGlossy(glossy_images());
-    assert_eq!(image(material.base_color_texture), ImageSource { channels, ..diffuse.clone() });
-    let channels = Channels::MetalOfGlossy(glossy_images());
-    assert_eq!(image(material.metallic_roughness_texture), ImageSource { channels, ..diffuse.clone() });
-    assert_eq!((material.metallic, material.roughness, both.images.len()), (1.0, 1.0, 2));
-    // Materials share what their images become; an image has a part in four pairs alone.
-    let six = [(1, 1.0), (1, 1.0), (2, 1.0), (1, 0.5), (1, 0.25), (1, 0.125)].map(|(diffuse, factor)| {
-        let more = format!(r#","specularFactor":[1,1,{factor}],"specularGlossinessTexture":{}"#, texture(0));
-        glossy(&more).replace(r#""diffuseTexture":{"index":1}"#, &format!(r#""diffuseTexture":{}"#, texture(diffuse)))
-    });
-    let images = images.replace(r#""textures":["#, r#""textures":[{"source":0},{"source":1},{"source":2}],"unused":["#);
-    let images = images.replace(r#"{"uri":"d.png"}"#, r#"{"uri":"d.png"},{"uri":"e.png"}"#);
-    let primitives =
-        [0, 1, 2, 3, 4, 5].map(|material| PRIMITIVE.replacen('{', &format!(r#"{{"material":{material},"#), 1));
-    let six = self::draft(&format!(
-        r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{}]}}],"materials":[{}]{images}"#,
-        primitives.join(","),
-        six.join(",")
-    ));
-    let images = |material: &Material| {
-        [material.base_color_texture, material.metallic_roughness_texture].map(|it| it.map(|texture| texture.image))
-    };
-    let images: Vec<_> = six.mesh.materials.materials.iter().map(images).collect();
-    let pair = |first| [Some(first), Some(first + 1)];
-    // The last one shows its diffuse image, the first of all.
-    assert_eq!(images, [pair(1), pair(1), pair(3), pair(5), pair(7), [Some(0), None]]);
-    assert_eq!(six.mesh.materials.materials[5].metallic, 0.0);
-    assert_eq!(six.remarks, ["a texture of reflections that belongs to several others is left out"]);
-    // A stone needs no image of metal.
-    let alone = draft(r#","specularFactor":[0.04,0.04,0.04]"#);
-    let material = &alone.mesh.materials.materials[0];
-    assert_eq!((material.metallic, material.roughness, alone.images), (0.0, 0.75, vec![diffuse]));
 }
 
 #[test]
@@ -271,40 +220,6 @@ fn factors_of_specular_glossiness_make_the_metal_that_their_images_make() {
         let textures = [material.base_color_texture, material.metallic_roughness_texture];
         assert_eq!(textures.map(|texture| texture.map(|texture| texture.image)), [Some(0), Some(1)]);
     }
-}
-
-#[test]
-fn an_image_that_is_listed_again_is_kept_once() {
-    let textures: Vec<_> = (0..6).map(|source| format!(r#"{{"source":{source}}}"#)).collect();
-    let materials: Vec<_> = (0..6)
-        .map(|index| format!(r#"{{"pbrMetallicRoughness":{{"baseColorTexture":{{"index":{index}}}}}}}"#))
-        .collect();
-    let primitives: Vec<_> =
-        (0..6).map(|material| PRIMITIVE.replacen('{', &format!(r#"{{"material":{material},"#), 1)).collect();
-    let more = format!(
-        r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{}]}}],"materials":[{}],"textures":[{}],"images":[
-        {{"bufferView":0}},{{"bufferView":1}},{{"uri":"a.png"}},{{"uri":"a.png"}},{{"uri":"data:?"}},{{"bufferView":2}}],{}"#,
-        primitives.join(","),
-        materials.join(","),
-        textures.join(","),
-        ACCESSORS.replace(
-            r#""bufferViews":["#,
-            r#""bufferViews":[{"buffer":0,"byteLength":72},{"buffer":0,"byteLength":72},{"buffer":0,"byteLength":71}],"unused":["#
-        )
-    );
-    let draft = parse(&glb(&more, &square())).unwrap();
-    let materials = &draft.mesh.materials.materials;
-    let images: Vec<_> = materials.iter().map(|it| it.base_color_texture.map(|texture| texture.image)).collect();
-    assert_eq!(images, [Some(0), Some(0), Some(1), Some(1), None, None]);
-    assert_eq!(draft.images.len(), 2);
-    assert_eq!(
-        draft.remarks,
-        [
-            "texture 4 has no image that is read (PNG, JPEG, WebP)",
-            "images share their bytes: export the model again",
-            "texture 5 has no image that is read (PNG, JPEG, WebP)"
-        ]
-    );
 }
 
 #[test]
@@ -397,7 +312,7 @@ fn with_material(material: &str) -> Draft {
     with_material_and(material, "")
 }
 
-fn with_material_and(material: &str, more: &str) -> Draft {
+pub(super) fn with_material_and(material: &str, more: &str) -> Draft {
     draft(&format!(
         r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"TEXCOORD_0":2}},"indices":1,
         "material":0}}]}}],"materials":[{material}]{more}"#
