@@ -54,7 +54,7 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 #[derive(Clone, Debug, clap::Args)]
 pub struct ConnectArgs {
     /// The wall, as HOST or HOST:PORT [default: one in the network with the same key, once it is there]
-    #[arg(value_name = "HOST:PORT", required_if_eq("local", "true"))]
+    #[arg(value_name = "HOST:PORT", required_if_eq("local", "true"), value_parser = wall_address)]
     pub wall: Option<String>,
     /// The model's file that the wall shows: PLY, OBJ, STL, glTF or GLB, or a scene file of it [default: the wall's own
     /// file, if the wall runs on this machine; else its scene file is fetched from the wall]
@@ -114,13 +114,8 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
         }
     });
     let wall = WallAddress::default();
-    if let Some(named) = &args.wall {
-        wall.set(with_port(named));
-        if wall.get().starts_with(':') {
-            bail!("the wall has no name: write it as HOST or HOST:PORT, for example wall.example:{DEFAULT_PORT}");
-        }
-    }
     let search = args.wall.is_none().then(|| Search::new(args.insecure));
+    args.wall.into_iter().for_each(|named| wall.set(named));
     let pool = Arc::new(threads::pool(args.threads.map(|n| n as usize))?);
     let loader = match &args.replay {
         Some(picture) => SceneLoader::synthetic(pool, SyntheticPicture::read(picture)?),
@@ -262,6 +257,20 @@ async fn keep_connected(
     }
 }
 
+/// HOST:PORT of the wall that an argument names. The error names the cause and the cure.
+fn wall_address(named: &str) -> Result<String, String> {
+    let address = with_port(named);
+    let (host, port) = address.rsplit_once(':').unwrap_or((&address, ""));
+    let cure = format!("write it as HOST or HOST:PORT, for example wall.example:{DEFAULT_PORT}");
+    if host.is_empty() {
+        return Err(format!("the wall has no name: {cure}"));
+    }
+    if port.parse() == Ok(0_u16) {
+        return Err(format!("no wall can be reached on port 0: {cure}"));
+    }
+    Ok(address)
+}
+
 /// The address with a port: [`DEFAULT_PORT`] unless it names one.
 pub fn with_port(wall: &str) -> String {
     match wall.trim_matches(['[', ']']).parse::<IpAddr>() {
@@ -355,7 +364,15 @@ mod tests {
             ("[::1]", "[::1]:7117"),
             ("[::1]:80", "[::1]:80"),
         ] {
-            assert_eq!(with_port(wall), address);
+            assert_eq!(wall_address(wall).unwrap(), address);
+        }
+    }
+
+    #[test]
+    fn an_address_where_no_wall_can_be_is_refused() {
+        for (wall, cause) in [(":7117", "has no name"), ("wall.example:0", "port 0"), ("[::1]:00", "port 0")] {
+            let error = wall_address(wall).unwrap_err();
+            assert!(error.contains(cause) && error.contains("wall.example:7117"), "{error}");
         }
     }
 }
