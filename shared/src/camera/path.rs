@@ -115,8 +115,8 @@ impl CameraPath {
     /// 256 KB, a thousand times a key.
     pub fn from_toml(text: &str) -> Result<Self, CameraFileError> {
         let at = |offset, problem: &str| {
-            let format = "a path file has up = \"x\", \"y\" or \"z\", and for each camera a [[key]] with seconds, eye, \
-                          ll, u and v";
+            let format = "a path file has up = \"y\", \"z\", \"x\", \"-y\", \"-z\" or \"-x\", and for each camera a [[key]] \
+                          with seconds, eye, ll, u and v";
             CameraFileError::at(text, offset, problem, format)
         };
         let (mut up, mut keys, mut starts) = (UpAxis::default(), Vec::new(), Vec::new());
@@ -362,6 +362,16 @@ mod tests {
         assert!(told(&unknown).starts_with("line 24: "), "{}", told(&unknown));
         let flat = "\n[[key]]\nseconds=0.0\neye=[0,0,1]\nll=[0,0,0]\nu=[1,0,0]\nv=[2,0,0]";
         assert!(told(flat).contains("line 2: the view plane has no area"), "{}", told(flat));
+    }
+
+    #[test]
+    fn each_axis_that_may_point_up_is_read_and_named() {
+        let told = CameraPath::from_toml("up = \"north\"").unwrap_err().to_string();
+        for &up in UpAxis::VARIANTS {
+            let path = CameraPath::new(vec![(0.0, front())], up).unwrap();
+            assert_eq!(CameraPath::from_toml(&path.to_toml()).unwrap().up(), up);
+            assert!(told.contains(&format!(" \"{up}\"")), "{up}: {told}");
+        }
     }
 
     #[test]
