@@ -106,6 +106,28 @@ fn a_film_goes_on_where_it_ended_and_never_holds_another() {
 }
 
 #[test]
+fn a_film_that_ends_at_rest_does_not_go_on_with_a_slower_path() {
+    let files = Files::new();
+    let start = Camera::from_toml(&fs::read_to_string(files.path("camera.toml")).unwrap()).unwrap();
+    let end = start.orbit(DVec3::Y, UpAxis::Y, 1.0, 0.2);
+    let film = |seconds_in_motion: f64, arguments: &[&str]| {
+        let mut command = command(&files);
+        let keys = vec![(0.0, start), (seconds_in_motion, end), (1.0, end)];
+        fs::write(files.path("path.toml"), CameraPath::new(keys, UpAxis::Y).unwrap().to_toml()).unwrap();
+        command.args(["--size", SIZE, "--samples", "1", "--pictures"]).arg(files.path("film")).args(arguments);
+        let (status, said) = Program::start(command).wait();
+        (status.success(), said)
+    };
+    let (is_done, said) = film(0.3, &["--frames", "8"]);
+    assert!(is_done, "{said}");
+    let (is_done, said) = film(0.6, &["--resume"]);
+    assert!(!is_done && said.lines().last().unwrap().contains("picture-000006.png is of another film"), "{said}");
+    let (is_done, said) = film(0.3, &["--resume"]);
+    assert!(is_done && said.contains("the film's 11 pictures are in"), "{said}");
+    assert_eq!(files.frames().len(), 5, "two to compare, and three that were missing");
+}
+
+#[test]
 fn a_film_has_the_walls_resolution_and_sixteen_samples() {
     let files = Files::new();
     let mut command = command(&files);

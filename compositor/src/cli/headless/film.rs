@@ -56,6 +56,13 @@ impl Film {
     fn camera(&self, index: u32) -> Camera {
         self.path.at(f64::from(index) / self.fps)
     }
+
+    /// Whether the camera comes to a picture from elsewhere and leaves it again. Films of other rates, or of other paths with
+    /// the same rests, have another picture there.
+    fn is_moving(&self, index: u32) -> bool {
+        let differs = |other: u32| self.camera(other) != self.camera(index);
+        index.checked_sub(1).is_some_and(differs) && differs(index + 1)
+    }
 }
 
 impl Headless {
@@ -71,7 +78,7 @@ impl Headless {
         mut output: Output,
     ) -> anyhow::Result<Report> {
         let (n_pictures, mut report) = (film.n_pictures(), Report::default());
-        let pictures = output.pictures_to_render(n_pictures)?;
+        let pictures = output.pictures_to_render(n_pictures, |index| film.is_moving(index))?;
         let bar = Progress::new(format!("filming {}", counted(pictures.len(), "picture")));
         let n_begun = Arc::new(AtomicU32::new(0));
         let line = output.line_if_cut_off(n_pictures);
@@ -139,6 +146,16 @@ mod tests {
     use shared::camera::UpAxis;
 
     use super::*;
+
+    #[test]
+    fn a_camera_moves_between_its_rests() {
+        let camera = Camera::look_at(DVec3::splat(3.0), DVec3::ZERO, DVec3::Y, 0.7, 1.0).unwrap();
+        let turned = camera.orbit(DVec3::ZERO, UpAxis::Y, 1.0, 0.0);
+        let keys = [(0.0, camera), (0.2, camera), (0.6, turned), (1.0, turned)];
+        let film = Film { path: CameraPath::new(keys.into(), UpAxis::Y).unwrap(), fps: 10.0, most: u32::MAX };
+        let moving: Vec<u32> = (0..film.n_pictures()).filter(|&index| film.is_moving(index)).collect();
+        assert_eq!(moving, [3, 4, 5]);
+    }
 
     #[test]
     fn a_film_has_a_picture_at_each_end_and_no_more_than_asked_for() {

@@ -33,10 +33,14 @@ pub enum Output {
 
 impl Output {
     /// The pictures of `n_pictures` that it takes, by index. Of a film that goes on: the last one that is there, to be
-    /// compared; then those that are missing or damaged.
-    pub(super) fn pictures_to_render(&mut self, n_pictures: u32) -> anyhow::Result<Vec<u32>> {
+    /// compared, and if the camera rests there, the last one at which it moves; then those that are missing or damaged.
+    pub(super) fn pictures_to_render(
+        &mut self,
+        n_pictures: u32,
+        is_moving: impl Fn(u32) -> bool,
+    ) -> anyhow::Result<Vec<u32>> {
         match self {
-            Self::Pictures(pictures) => pictures.plan(n_pictures),
+            Self::Pictures(pictures) => pictures.plan(n_pictures, is_moving),
             Self::Nowhere | Self::Video(_) => Ok((0..n_pictures).collect()),
         }
     }
@@ -92,8 +96,8 @@ pub struct Pictures {
     fps: f64,
     /// Columns and rows of a picture.
     size: [u32; 2],
-    /// The index of the picture that is compared with the one that is there.
-    compared: Option<u32>,
+    /// The indices of the pictures that are compared with those that are there.
+    compared: Vec<u32>,
     writers: VecDeque<JoinHandle<io::Result<()>>>,
 }
 
@@ -111,24 +115,30 @@ impl Pictures {
         let file = picture_file(folder, 0);
         check_writable(&file)?;
         let writers = VecDeque::with_capacity(N_WRITERS);
-        Ok(Self { folder: folder.to_owned(), fps, size, compared: None, writers })
+        Ok(Self { folder: folder.to_owned(), fps, size, compared: Vec::new(), writers })
     }
 
     /// See [`Output::pictures_to_render`].
-    fn plan(&mut self, n_pictures: u32) -> anyhow::Result<Vec<u32>> {
+    fn plan(&mut self, n_pictures: u32, is_moving: impl Fn(u32) -> bool) -> anyhow::Result<Vec<u32>> {
         let file = |index: u32| picture_file(&self.folder, index);
         let states = (0..n_pictures).map(|index| picture_file::state(&file(index), self.size));
         let mut states = states.collect::<io::Result<Vec<_>>>().with_context(|| self.folder.display().to_string())?;
-        // The whole picture is read only where it is to be compared.
-        while let Some(last) = states.iter().rposition(|state| *state == State::Whole) {
-            if picture_file::is_readable(&file(last as u32)) {
-                self.compared = Some(last as u32);
+        // Where the camera rests, films of other rates have the same picture.
+        for index in (0..n_pictures).rev() {
+            let state = &mut states[index as usize];
+            if *state != State::Whole || !(self.compared.is_empty() || is_moving(index)) {
+                continue;
+            }
+            // The whole picture is read only where it is to be compared.
+            if !picture_file::is_readable(&file(index)) {
+                *state = State::Damaged;
+                continue;
+            }
+            tracing::info!("{} is rendered once more, to compare it", file(index).display());
+            self.compared.push(index);
+            if is_moving(index) {
                 break;
             }
-            states[last] = State::Damaged;
-        }
-        if let Some(compared) = self.compared {
-            tracing::info!("{} is rendered once more, to compare it", file(compared).display());
         }
         for (index, state) in (0..).zip(&states) {
             match state {
@@ -138,13 +148,13 @@ impl Pictures {
             }
         }
         let missing = (0..).zip(&states).filter(|(_, state)| **state != State::Whole).map(|(index, _)| index);
-        Ok(self.compared.into_iter().chain(missing).collect())
+        Ok(self.compared.iter().copied().chain(missing).collect())
     }
 
     /// Writes a picture, or compares it with the one that is there: a film never holds pictures of two.
     fn put(&mut self, index: u32, image: RgbImage) -> anyhow::Result<()> {
         let file = picture_file(&self.folder, index);
-        if self.compared == Some(index) {
+        if self.compared.contains(&index) {
             return check_same(&file, &image);
         }
         if self.writers.len() == N_WRITERS {
