@@ -268,11 +268,10 @@ impl Scheduler {
         if let Some(node) = self.nodes.get_mut(&node) {
             node.ready = ready;
         }
-        // Without the scene it cannot finish its tasks.
-        if !ready {
-            let given_up = self.frames.iter_mut().filter_map(|frame| frame.give_up(node).then_some(frame.id));
-            actions.extend(given_up.map(|frame| Action::Cancel { node, frame }));
-        }
+        // Without the scene it cannot finish its tasks. One that is ready again had no scene when earlier tasks came: the wall went
+        // to another scene and back, and took the answer to the first order for that to the last.
+        let given_up = self.frames.iter_mut().filter_map(|frame| frame.give_up(node).then_some(frame.id));
+        actions.extend(given_up.map(|frame| Action::Cancel { node, frame }));
     }
 
     /// Has every render server load the scene anew; it is given no tasks before it reports that it is ready.

@@ -17,7 +17,7 @@ use glam::DVec3;
 use shared::{
     codec,
     printable::printable,
-    protocol::{FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, SILENCE_LIMIT, SceneState, SkyFile, ToServer, ToWall},
+    protocol::{FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, SILENCE_LIMIT, SkyFile, ToServer, ToWall},
     scene::SceneId,
     structure::Structure,
 };
@@ -211,13 +211,9 @@ impl Session<'_> {
                 ToServer::RenderFrame { frame, task_id, spec, task, encoding } => {
                     let sky = spec.appearance.sky;
                     let source = self.loader.source_for(spec.scene).filter(|source| source.has_sky(sky));
-                    let Some(source) = source else {
-                        // The wall went to another scene and back; `SceneState::Ready` follows when this one is loaded.
-                        let reason = format!("it does not have {} any more", spec.scene);
-                        let state = SceneState::Missing { reason };
-                        self.reply(&ToWall::SceneState { scene: spec.scene, state }).await;
-                        continue;
-                    };
+                    // The wall went to another scene and back, and took the first order's answer for the last's, which follows
+                    // when this scene is loaded: then the wall sends the task again.
+                    let Some(source) = source else { continue };
                     let cancelled = Arc::new(AtomicBool::new(false));
                     self.unfinished.retain(|(_, cancelled)| Arc::strong_count(cancelled) > 1);
                     self.unfinished.push((frame, Arc::clone(&cancelled)));

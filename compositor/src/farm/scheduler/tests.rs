@@ -327,6 +327,21 @@ fn a_node_without_the_scene_does_not_hold_up_the_frame() {
 }
 
 #[test]
+fn a_node_that_is_ready_again_gets_its_tasks_again() {
+    for &division in Division::VARIANTS {
+        let mut farm = Farm::with_nodes(goal(division), &[A]);
+        // It had another scene when they came, and took no notice of them.
+        farm.at_work.clear();
+        farm.on(Event::SceneReady { node: A, ready: true });
+        assert_eq!((&farm.cancelled[..], farm.at_work.len()), (&[A][..], 1));
+        farm.answer(A);
+        assert_eq!(farm.shown.len(), 1);
+        farm.on(Event::SceneReady { node: A, ready: true });
+        assert_eq!(farm.cancelled, [A], "it holds none");
+    }
+}
+
+#[test]
 fn a_slow_node_is_not_a_lost_one() {
     let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);
     farm.pass(60_000);
