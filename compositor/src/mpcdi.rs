@@ -12,3 +12,6 @@ pub mod convert;
 pub mod document;
 pub mod points;
 pub mod view;
+
+/// The cure of a file that is damaged, or was written wrongly.
+const EXPORT_AGAIN: &str = "export it again from the tool that wrote it";

@@ -17,14 +17,14 @@ pub mod trace;
 use std::{
     ffi::OsString,
     fmt::{Debug, Display},
-    io::{ErrorKind, IsTerminal, Write},
+    io::{self, ErrorKind, IsTerminal, Write},
     ops::RangeInclusive,
     path::Path,
     process::ExitCode,
     str::FromStr,
 };
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use channel::files;
 use clap::{Parser, Subcommand, error::ErrorKind as ParseErrorKind};
 use shared::printable::{printable_line, printable_lines};
@@ -144,9 +144,17 @@ pub fn run(command: Command) -> Result<()> {
 /// # Errors
 /// The file or its folder cannot be written.
 pub fn check_writable(path: &Path) -> Result<()> {
-    files::check(path).with_context(|| {
-        format!("cannot write {}: name a file in a folder that is there and may be written", path.display())
-    })
+    files::check(path).map_err(|error| cannot_write(path, &error))
+}
+
+/// The error of a file that cannot be written, with its cure.
+pub fn cannot_write(path: &Path, error: &io::Error) -> anyhow::Error {
+    let cure = match error.kind() {
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some of its disk, or name a file on another",
+        ErrorKind::FileTooLarge => "let files grow larger (ulimit -f), or name one on another disk",
+        _ => "name a file in a folder that is there and may be written",
+    };
+    anyhow!("cannot write {}: {error}; {cure}", path.display())
 }
 
 /// Starts what every program needs first: its log, the thread that listens for signals, and rayon's threads, which panic
@@ -164,7 +172,7 @@ fn start_logging() {
     let filter = EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| EnvFilter::new("warn,winit=error,renderer=info,compositor=info"));
     // Fails only if a subscriber is set already.
-    let log = log(filter, std::io::stderr, std::io::stderr().is_terminal());
+    let log = log(filter, io::stderr, io::stderr().is_terminal());
     let _ = tracing::subscriber::set_global_default(log.with(RecentLog));
 }
 
@@ -189,7 +197,7 @@ fn log(
 
 /// Prints lines to standard output, without control characters. A closed pipe is no error; a full disk is.
 pub fn say(lines: impl Display) -> Result<()> {
-    match writeln!(std::io::stdout(), "{}", printable_lines(&lines.to_string())) {
+    match writeln!(io::stdout(), "{}", printable_lines(&lines.to_string())) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).context("cannot write to standard output"),
         _ => Ok(()),
     }
@@ -225,10 +233,10 @@ mod tests {
         #[derive(Clone, Default)]
         struct Written(Arc<Mutex<Vec<u8>>>);
         impl Write for Written {
-            fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
                 self.0.lock().unwrap().write(bytes)
             }
-            fn flush(&mut self) -> std::io::Result<()> {
+            fn flush(&mut self) -> io::Result<()> {
                 Ok(())
             }
         }

@@ -122,6 +122,19 @@ fn no_file_is_written_over_and_an_error_leaves_none() {
     assert!(code == Some(1) && said.contains("new.2.pfm is there already") && said.contains("name another"), "{said}");
     assert_eq!(fs::read_to_string(path("new.2.pfm")).unwrap(), "another's");
     assert_eq!(files().len(), before.len() + 1, "{:?}", files());
+    // A disk that fills up, here by a limit to files that the meshes keep and the wall file does not.
+    fs::write(path("wide.toml"), text.replace("columns = 2", "columns = 12")).unwrap();
+    assert_eq!(run(&["export", &path("wide.toml"), &path("wide.mpcdi")]).0, Some(0));
+    let before = files();
+    let mut limited = Command::new("bash");
+    limited.args(["-c", "ulimit -f 1; exec \"$0\" \"$@\""]).arg(Program::command("compositor").get_program());
+    limited.args(["import", &path("wide.mpcdi"), &path("full.toml")]);
+    let (status, said) = Program::start(limited).wait();
+    assert!(
+        status.code() == Some(1) && said.contains("full.toml: ") && said.contains("let files grow larger"),
+        "{said}"
+    );
+    assert_eq!(files(), before);
     // Inputs and other files are no place for an export.
     for name in ["ours.toml", "new.2.pfm", "ours.mpcdi"] {
         let old = fs::read(path(name)).unwrap();

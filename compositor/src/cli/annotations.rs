@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use channel::files;
-use renderer::cli::say;
+use renderer::cli::{cannot_write, say};
 use shared::{
     marks::Marks,
     printable::{counted, printable_line},
@@ -94,5 +94,5 @@ fn add(marks: &mut Marks, document: &Path, model: &str) -> anyhow::Result<usize>
 }
 
 fn write(file: &Path, text: &str) -> anyhow::Result<()> {
-    files::write(file, |out| out.write_all(text.as_bytes())).with_context(|| format!("cannot write {}", file.display()))
+    files::write(file, |out| out.write_all(text.as_bytes())).map_err(|error| cannot_write(file, &error))
 }

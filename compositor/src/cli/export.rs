@@ -4,7 +4,7 @@ use std::{io::Write, path::PathBuf, time::SystemTime};
 
 use anyhow::{Context, ensure};
 use channel::files::NewFile;
-use renderer::cli::say;
+use renderer::cli::{cannot_write, say};
 use shared::{division::FrameSize, printable::counted};
 
 use super::{ensure_new, headless::Headless};
@@ -96,11 +96,12 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<()> {
         let warp = warp.map(|warp: Pfm| (region.warp.clone(), warp.write()));
         warp.into_iter().chain(alpha).chain(beta).collect::<Vec<_>>()
     });
-    let cannot = || format!("cannot write {}", args.file.display());
-    let out = NewFile::begin(&args.file).with_context(cannot)?;
-    let bytes = archive::pack(&document.write(&date(SystemTime::now())), files).with_context(cannot)?;
-    out.file().write_all(&bytes).with_context(cannot)?;
-    out.finish().with_context(cannot)?;
+    let cannot = |error| cannot_write(&args.file, &error);
+    let out = NewFile::begin(&args.file).map_err(cannot)?;
+    let bytes = archive::pack(&document.write(&date(SystemTime::now())), files)
+        .with_context(|| format!("cannot write {}", args.file.display()))?;
+    out.file().write_all(&bytes).map_err(cannot)?;
+    out.finish().map_err(cannot)?;
     say(format_args!("wrote {} with {}", args.file.display(), counted(wall.projectors().len(), "region")))
 }
 

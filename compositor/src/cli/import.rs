@@ -1,13 +1,13 @@
 //! Makes a wall file of an MPCDI file, which other tools for projectors write.
 
 use std::{
-    fs::{self, File},
+    fs::File,
     path::{Path, PathBuf},
 };
 
 use anyhow::{Context, bail, ensure};
-use channel::files;
-use renderer::cli::say;
+use channel::files::{self, NewFiles};
+use renderer::cli::{cannot_write, say};
 use shared::printable::{counted, printable_line};
 
 use super::ensure_new;
@@ -96,17 +96,18 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     let projectors = projectors(&mut archive, &document, wall_file, laid.as_ref()).map_err(fault)?;
     let wall = Wall::new(canvas_m, Wall::paper().frame_size(), projectors).map_err(|it| fault(it.to_string()))?;
     let wall = wall.with_surface(laid.as_ref().and_then(|laid| laid.surface));
-    let mut written = Written::default();
+    let mut new = NewFiles::default();
+    let mut write = |path: &Path, bytes: &[u8]| new.write(path, bytes).map_err(|error| cannot_write(path, &error));
     for mesh in wall.projectors().iter().filter_map(|projector| projector.mesh.as_ref()) {
         let path = wall_file.with_file_name(mesh.file());
         ensure_new(&path, "mesh files are named after the wall file, so name another one")?;
-        written.write(path, &mesh.to_pfm(canvas_m))?;
+        write(&path, &mesh.to_pfm(canvas_m))?;
     }
     // Checked as a file, which numbers and meshes must pass: the next program reads it.
     let text = wall.to_toml();
     Wall::from_toml(&wall_file.display().to_string(), &text)?;
-    written.write(wall_file.clone(), text.as_bytes())?;
-    written.keep();
+    write(wall_file, text.as_bytes())?;
+    new.keep();
     // Directions fit any shape.
     let shape = if args.shape.is_none() && document.profile == Profile::View {
         "; the wall counts as flat, and --shape names another"
@@ -123,31 +124,6 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
         canvas_m[1],
         gammas(&wall)
     ))
-}
-
-/// Files that were written; removed when it is dropped, unless they are kept.
-#[derive(Default)]
-struct Written(Vec<PathBuf>);
-
-impl Written {
-    fn write(&mut self, path: PathBuf, bytes: &[u8]) -> anyhow::Result<()> {
-        files::write(&path, |out| out.write_all(bytes)).with_context(|| format!("cannot write {}", path.display()))?;
-        self.0.push(path);
-        Ok(())
-    }
-
-    fn keep(mut self) {
-        self.0.clear();
-    }
-}
-
-impl Drop for Written {
-    fn drop(&mut self) {
-        for path in &self.0 {
-            // The error that ends the program says more than this one would.
-            let _ = fs::remove_file(path);
-        }
-    }
 }
 
 /// The gammas of a wall's projectors, which MPCDI says as powers.

@@ -1,11 +1,15 @@
 //! The zip around an MPCDI.
 
-use std::io::{Cursor, Read, Seek, Write};
+use std::{
+    fmt::Display,
+    io::{Cursor, Read, Seek, Write},
+};
 
 use image::{ImageFormat, ImageReader, Limits};
 use zip::{CompressionMethod, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
 use super::{
+    EXPORT_AGAIN,
     canvas::Light,
     document::{LARGEST_SIDE, Mpcdi},
 };
@@ -36,7 +40,8 @@ impl<R: Read + Seek> Archive<R> {
     /// # Errors
     /// It is no zip.
     pub fn open(file: R) -> Result<Self, String> {
-        let zip = ZipArchive::new(file).map_err(|error| format!("it is no MPCDI file, which is a zip: {error}"))?;
+        let zip = ZipArchive::new(file)
+            .map_err(|error| format!("it is no MPCDI file, which is a zip ({error}): name one, or {EXPORT_AGAIN}"))?;
         Ok(Self { zip, n_unpacked: 0 })
     }
 
@@ -47,7 +52,7 @@ impl<R: Read + Seek> Archive<R> {
     pub fn document(&mut self) -> Result<Mpcdi, String> {
         let name = DOCUMENT_NAMES.into_iter().find(|name| self.name_of(name).is_some()).unwrap_or(DOCUMENT_NAMES[0]);
         let bytes = self.unpacked(name, LONGEST_DOCUMENT)?;
-        let text = String::from_utf8(bytes).map_err(|_| format!("{name} is not UTF-8"))?;
+        let text = String::from_utf8(bytes).map_err(|_| format!("{name} is not UTF-8: {EXPORT_AGAIN}"))?;
         Mpcdi::read(text.trim_start_matches('\u{feff}'))
     }
 
@@ -56,7 +61,7 @@ impl<R: Read + Seek> Archive<R> {
     /// # Errors
     /// There is no such file, or it is no PFM of three channels.
     pub fn warp(&mut self, name: &str) -> Result<Pfm, String> {
-        Pfm::read(&self.unpacked(name, LONGEST_WARP)?).map_err(|fault| format!("{name}: {fault}"))
+        Pfm::read(&self.unpacked(name, LONGEST_WARP)?).map_err(|fault| format!("{name}: {fault}; {EXPORT_AGAIN}"))
     }
 
     /// The light of an alpha map in a file of the archive, in which this gamma was applied.
@@ -70,7 +75,10 @@ impl<R: Read + Seek> Archive<R> {
         limits.max_image_height = Some(LARGEST_SIDE);
         limits.max_alloc = Some(LONGEST_MAP);
         reader.limits(limits);
-        let image = reader.decode().map_err(|error| format!("{name} cannot be read as PNG: {error}"))?.into_luma16();
+        let image = reader
+            .decode()
+            .map_err(|error| format!("{name} cannot be read as PNG ({error}): {EXPORT_AGAIN}"))?
+            .into_luma16();
         let size = [image.width() as usize, image.height() as usize];
         let light = |x: usize, y: usize| (f64::from(image.get_pixel(x as u32, y as u32).0[0]) / 65535.0).powf(gamma);
         Ok(Light::new(size, light))
@@ -83,14 +91,15 @@ impl<R: Read + Seek> Archive<R> {
     }
 
     fn unpacked(&mut self, name: &str, longest: u64) -> Result<Vec<u8>, String> {
-        let found = self.name_of(name).ok_or_else(|| format!("it has no file {name}"))?;
-        let entry = self.zip.by_name(&found).map_err(|error| format!("{name} cannot be unpacked: {error}"))?;
+        let found = self.name_of(name).ok_or_else(|| format!("it has no file {name}: {EXPORT_AGAIN}"))?;
+        let damaged = |error: &dyn Display| format!("{name} cannot be unpacked ({error}): {EXPORT_AGAIN}");
+        let entry = self.zip.by_name(&found).map_err(|error| damaged(&error))?;
         // What an entry says of its size may be wrong, so reading has the same limit.
         let mut bytes = Vec::new();
         let mut start = entry.take(longest + 1);
-        start.read_to_end(&mut bytes).map_err(|error| format!("{name} cannot be unpacked: {error}"))?;
+        start.read_to_end(&mut bytes).map_err(|error| damaged(&error))?;
         if start.limit() == 0 {
-            return Err(format!("{name} has more than {longest} bytes"));
+            return Err(format!("{name} has more than {longest} bytes: export it smaller or coarser"));
         }
         self.n_unpacked += bytes.len() as u64;
         if self.n_unpacked > MOST_UNPACKED {
@@ -128,15 +137,19 @@ mod tests {
         let packed = pack("<MPCDI/>", files.into_iter()).expect("few files");
         let mut archive = Archive::open(Cursor::new(packed)).expect("a zip");
         assert_eq!(archive.warp("./warps/a.pfm"), Ok(pfm));
-        assert_eq!(archive.unpacked("b.pfm", 1 << 20), Err("b.pfm has more than 1048576 bytes".to_owned()));
-        assert_eq!(archive.warp("c.pfm"), Err("it has no file c.pfm".to_owned()));
+        assert_eq!(
+            archive.unpacked("b.pfm", 1 << 20),
+            Err("b.pfm has more than 1048576 bytes: export it smaller or coarser".to_owned())
+        );
+        assert_eq!(archive.warp("c.pfm"), Err(format!("it has no file c.pfm: {EXPORT_AGAIN}")));
         assert!(archive.document().expect_err("no profile").contains("its profile is none"));
     }
 
     #[test]
     fn other_files_are_refused() {
         for bytes in [&b""[..], b"PK", b"canvas_m = [1, 1]"] {
-            assert!(Archive::open(Cursor::new(bytes.to_vec())).err().expect("refused").contains("no MPCDI file"));
+            let fault = Archive::open(Cursor::new(bytes.to_vec())).err().expect("refused");
+            assert!(fault.contains("no MPCDI file") && fault.ends_with(EXPORT_AGAIN), "{fault}");
         }
     }
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 
 use super::{
+    EXPORT_AGAIN,
     document::{Frustum, Region},
     view::view_of,
 };
@@ -193,7 +194,7 @@ fn mesh(projector: &Projector, source: Source<'_>, n_points: [usize; 2], file: S
         source.canvas_at(raster_from_upright.transform_point2(upright))
     };
     let points: Vec<DVec2> = (0..n_points[0] * n_points[1]).map(place).collect();
-    Mesh::new(file, n_points, &points).map_err(|error| error.to_string())
+    Mesh::new(file, n_points, &points).map_err(|error| format!("{error}; {EXPORT_AGAIN}"))
 }
 
 /// The farthest that a mesh lies from its warp, in pixels, at some ten thousand of these.

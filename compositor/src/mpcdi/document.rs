@@ -4,6 +4,8 @@ use std::{fmt::Write, ops::RangeInclusive};
 
 use roxmltree::{Document, Node, ParsingOptions};
 
+use super::EXPORT_AGAIN;
+
 /// A picture, or what is seen from an eye, and the projectors that show it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mpcdi {
@@ -80,10 +82,11 @@ impl Mpcdi {
     /// It is not XML, no MPCDI, or of an unknown profile; the text names the cure.
     pub fn read(text: &str) -> Result<Self, String> {
         let options = ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..ParsingOptions::default() };
-        let document = Document::parse_with_options(text, options).map_err(|error| format!("mpcdi.xml: {error}"))?;
+        let document = Document::parse_with_options(text, options)
+            .map_err(|error| format!("mpcdi.xml: {error}; {EXPORT_AGAIN}"))?;
         let root = document.root_element();
         if !is_named(root, "MPCDI") {
-            return Err(format!("mpcdi.xml is no MPCDI: its root is <{}>", root.tag_name().name()));
+            return Err(format!("mpcdi.xml is no MPCDI, its root is <{}>: {EXPORT_AGAIN}", root.tag_name().name()));
         }
         let profile = attribute(root, "profile").unwrap_or("none");
         let profile = match profile.to_ascii_lowercase().as_str() {
@@ -97,7 +100,7 @@ impl Mpcdi {
                 ));
             }
         };
-        let display = child(root, "display").ok_or("mpcdi.xml has no <display>")?;
+        let display = child(root, "display").ok_or_else(|| format!("mpcdi.xml has no <display>: {EXPORT_AGAIN}"))?;
         let buffers: Vec<Node<'_, '_>> = children(display, "buffer").collect();
         let &[buffer] = &buffers[..] else {
             return Err(format!("it has {} buffers, and a wall shows one picture: split the file", buffers.len()));
@@ -110,7 +113,10 @@ impl Mpcdi {
             .map(|region| Region::read(region, &filesets, profile))
             .collect::<Result<_, _>>()?;
         if regions.is_empty() || regions.len() > MOST_REGIONS {
-            return Err(format!("it has {} regions: from 1 to {MOST_REGIONS} are possible", regions.len()));
+            return Err(format!(
+                "it has {} regions, and from 1 to {MOST_REGIONS} are possible: {EXPORT_AGAIN}",
+                regions.len()
+            ));
         }
         Ok(Self { profile, buffer_size, regions })
     }
@@ -184,8 +190,8 @@ impl Mpcdi {
 
 impl Region {
     fn read(node: Node<'_, '_>, filesets: &[Node<'_, '_>], profile: Profile) -> Result<Self, String> {
-        let id = attribute(node, "id").ok_or("a <region> has no id")?.to_owned();
-        let missing = |what: &str| format!("region \"{id}\" has no {what}");
+        let id = attribute(node, "id").ok_or_else(|| format!("a <region> has no id: {EXPORT_AGAIN}"))?.to_owned();
+        let missing = |what: &str| format!("region \"{id}\" has no {what}: {EXPORT_AGAIN}");
         let number = |name: &str| {
             let value = attribute(node, name).and_then(|text| text.trim().parse::<f64>().ok());
             value.filter(|value| value.is_finite()).ok_or_else(|| missing(&format!("number {name}")))
@@ -337,6 +343,7 @@ mod tests {
         let refused = |text: &str, cause: &str| {
             let fault = Mpcdi::read(text).expect_err(cause);
             assert!(fault.contains(cause) && !fault.contains('\n'), "{fault}");
+            assert!(fault.contains("export "), "no cure: {fault}");
         };
         refused("", "mpcdi.xml: ");
         refused("<a/>", "its root is <a>");

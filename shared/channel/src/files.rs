@@ -166,6 +166,37 @@ fn old_file(path: &Path) -> io::Result<Option<Metadata>> {
     }
 }
 
+/// New files that belong together: they are removed when this is dropped, or a signal ends the program, unless they are kept.
+#[derive(Debug, Default)]
+pub struct NewFiles(Vec<PartEntry>);
+
+impl NewFiles {
+    /// Writes one more, as [`write()`] does.
+    ///
+    /// # Errors
+    /// As for [`write()`].
+    pub fn write(&mut self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        write(path, |out| out.write_all(bytes))?;
+        parts().push(path.to_owned());
+        self.0.push(PartEntry(path.to_owned()));
+        Ok(())
+    }
+
+    /// Keeps them: all are there.
+    pub fn keep(mut self) {
+        self.0.clear();
+    }
+}
+
+impl Drop for NewFiles {
+    fn drop(&mut self) {
+        for PartEntry(path) in &self.0 {
+            // The error that ends the work says more than this one would.
+            let _ = fs::remove_file(path);
+        }
+    }
+}
+
 /// Writes a new file that only its owner can read; it appears when it is complete.
 ///
 /// # Errors
@@ -264,7 +295,7 @@ pub fn give_up() {
     std::mem::forget(parts);
 }
 
-/// The files that are being written, under their random names.
+/// The files that are being written, under their random names, and those that are incomplete without others.
 static PARTS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 fn parts() -> MutexGuard<'static, Vec<PathBuf>> {
@@ -387,6 +418,23 @@ mod tests {
         assert_eq!(names(folder.path()), ["stats.json"]);
         assert!(write(Path::new("/no/such/folder/a"), |_| Ok(())).is_err());
         assert!(write(folder.path(), |_| Ok(())).is_err(), "a folder");
+    }
+
+    #[test]
+    fn files_that_belong_together_are_kept_or_go_together() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let mut new = NewFiles::default();
+        new.write(&path("a"), b"1").unwrap();
+        new.write(&path("no/such/b"), b"2").unwrap_err();
+        assert_eq!(names(folder.path()), ["a"]);
+        assert!(parts().contains(&path("a")), "a signal would leave it");
+        drop(new);
+        assert!(names(folder.path()).is_empty() && !parts().contains(&path("a")));
+        let mut new = NewFiles::default();
+        new.write(&path("a"), b"1").unwrap();
+        new.keep();
+        assert!(names(folder.path()) == ["a"] && !parts().contains(&path("a")));
     }
 
     #[test]
