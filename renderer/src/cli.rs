@@ -38,9 +38,16 @@ use tracing_subscriber::{
 
 use crate::{
     cli::{
-        build::BuildArgs, cache::CacheArgs, free_memory::FreeMemory, generate::GenerateArgs, key::KeyArgs,
-        recent_log::RecentLog, stop::Stopped, trace::TraceArgs,
+        build::BuildArgs,
+        cache::CacheArgs,
+        free_memory::{FreeMemory, addresses_left},
+        generate::GenerateArgs,
+        key::KeyArgs,
+        recent_log::RecentLog,
+        stop::Stopped,
+        trace::TraceArgs,
     },
+    memory::share_one_arena,
     server::connect::{self, ConnectArgs},
 };
 
@@ -161,6 +168,9 @@ pub fn cannot_write(path: &Path, error: &io::Error) -> anyhow::Error {
 /// if they are first asked for where the system has none left.
 pub fn start() -> Result<()> {
     start_logging();
+    if addresses_left().is_some() {
+        share_one_arena();
+    }
     stop::listen();
     rayon::ThreadPoolBuilder::new()
         .build_global()

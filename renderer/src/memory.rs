@@ -96,6 +96,16 @@ pub(crate) fn handling_failure<T>(allocate: impl FnOnce() -> T) -> T {
     allocated
 }
 
+/// Has threads share one arena for small blocks, before they begin. Each of their own would take 64 MB of addresses, most of
+/// which it never uses: too many where `ulimit -v` limits them.
+pub fn share_one_arena() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: the C library takes the number, or leaves its arenas as they are.
+    unsafe {
+        libc::mallopt(libc::M_ARENA_MAX, 1);
+    }
+}
+
 /// A block of the system, with huge pages if it is large; the end of the program if there is none.
 #[inline]
 fn finished(pointer: *mut u8, n_bytes: usize) -> *mut u8 {

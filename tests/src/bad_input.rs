@@ -4,7 +4,7 @@ use std::{net::TcpListener, process::Command};
 
 use shared::protocol::DEFAULT_PORT;
 
-use crate::process::Program;
+use crate::process::{Program, generate_statue};
 
 /// Runs a program that must fail; returns its line of error.
 fn fails(command: Command) -> String {
@@ -328,6 +328,22 @@ fn limited(limit_kb: u32, program: &str, args: &[&str]) -> Command {
 
 #[cfg(target_os = "linux")]
 #[test]
+fn a_model_is_loaded_within_whatever_addresses_there_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let [model, picture] = ["statue.ply", "statue.png"].map(|name| folder.path().join(name).display().to_string());
+    generate_statue(400_000, model.as_ref());
+    // Where 64 MB for each thread's own blocks are left, but not them and the model.
+    for limit_kb in [160_000, 185_000, 210_000, 300_000] {
+        let args = ["trace", "--no-cache", "--size", "64x32", "--model", &model, "--image", &picture];
+        let mut command = limited(limit_kb, "renderer", &args);
+        // Each has a stack, too.
+        command.env("RAYON_NUM_THREADS", "2");
+        Program::succeed(command);
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
 fn a_texture_takes_its_own_memory_and_a_third_while_it_is_loaded() {
     const SIDE: u32 = 4096;
     let folder = tempfile::tempdir().unwrap();
@@ -345,9 +361,7 @@ fn a_texture_takes_its_own_memory_and_a_third_while_it_is_loaded() {
         ["trace", "--size", "8x8", "--threads", "1", model.to_str().unwrap(), "--image", picture.to_str().unwrap()];
     // The image and its mip map beside each other would take ten bytes a texel.
     let texels_kb = SIDE * SIDE / 1024;
-    let mut command = limited(texels_kb * 16 / 3 + 50_000, "renderer", &args);
-    // Else the C library reserves 64 MB of addresses for each thread, if they are there.
-    command.env("MALLOC_ARENA_MAX", "1");
+    let command = limited(texels_kb * 16 / 3 + 50_000, "renderer", &args);
     let (status, said) = Program::start(command).wait();
     assert!(status.success() && !said.contains("left out"), "{said}");
 }
@@ -356,8 +370,8 @@ fn a_texture_takes_its_own_memory_and_a_third_while_it_is_loaded() {
 #[test]
 fn a_model_that_does_not_fit_in_memory_ends_with_the_cure() {
     for command in [
-        limited(200_000, "renderer", &["trace", "--triangles", "5000000", "--size", "8x8", "--image", "none.png"]),
-        limited(200_000, "lab", &["trace", "--triangles", "5000000", "--frames", "1"]),
+        limited(200_000, "renderer", &["trace", "--triangles", "10000000", "--size", "8x8", "--image", "none.png"]),
+        limited(200_000, "lab", &["trace", "--triangles", "10000000", "--frames", "1"]),
     ] {
         let line = fails(command);
         assert!(line.contains("memory ran out") && line.contains("Lower --memory-budget"), "{line}");
@@ -369,7 +383,7 @@ fn a_model_that_does_not_fit_in_memory_ends_with_the_cure() {
         let args = ["--headless", "--listen", "127.0.0.1:0", "--local", "1", "--frames", "1"];
         limited(limit_kb, "compositor", &[&args[..], &["--triangles", n_triangles]].concat())
     };
-    let mut limit_kb = 1_000_000;
+    let mut limit_kb = 300_000;
     while !Program::start(wall(limit_kb, "1000")).wait().0.success() {
         assert!(limit_kb < 16_000_000, "no wall starts with {limit_kb} KB");
         limit_kb += 100_000;

@@ -95,7 +95,7 @@ fn left_in_group(limit: &str, usage: &str, stat: &str, cache: &str) -> Option<u6
 }
 
 /// Bytes that this process may still map, if `ulimit -v` limits them.
-fn addresses_left() -> Option<u64> {
+pub(super) fn addresses_left() -> Option<u64> {
     let limits = fs::read_to_string("/proc/self/limits").ok()?;
     let limit = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
     let limit = limit.split_whitespace().next()?.parse::<u64>().ok()?;
