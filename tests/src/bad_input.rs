@@ -137,7 +137,7 @@ fn the_open_network_needs_a_key_or_insecure() {
         assert!(fails(compositor(&["--key", key, "--camera", "no/such.toml"])).contains("no/such.toml"));
     }
     assert!(fails(renderer(&["connect", "no port:here"])).contains("HOST:PORT"));
-    assert!(fails(renderer(&["connect", "wall.example:0"])).contains("port 0: write it as HOST or HOST:PORT"));
+    assert!(fails(renderer(&["connect", "wall.example:0"])).contains("port \"0\": write it as HOST or HOST:PORT"));
 }
 
 #[test]

@@ -15,10 +15,13 @@ use crate::{
 #[derive(Debug, thiserror::Error)]
 pub enum AssemblyError {
     /// Of something there is more than indices can name.
-    #[error("holds more than 4294967294 {0}, which is more than this program can number")]
+    #[error("holds more than 4294967294 {0}, which is more than this program can number: export it in parts")]
     TooMany(&'static str),
     /// The system refuses an allocation.
-    #[error("needs {n_bytes} bytes of memory for its {what}, more than the system gives")]
+    #[error(
+        "needs {n_bytes} bytes of memory for its {what}, more than the system gives: free some memory, or use a \
+             machine with more"
+    )]
     OutOfMemory {
         /// The kind of items.
         what: &'static str,

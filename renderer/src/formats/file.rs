@@ -23,6 +23,9 @@ use crate::{
     scene_file,
 };
 
+/// Some editors on Windows begin UTF-8 with it.
+pub(super) const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+
 /// The endings of files that are shown, in small letters.
 const ENDINGS: [&str; 6] = ["ply", "obj", "stl", "gltf", "glb", scene_file::cache::ENDING];
 
@@ -50,6 +53,26 @@ pub struct Draft {
     pub images: Vec<ImageSource>,
     /// Remarks on parts that were left out, and why.
     pub remarks: Vec<String>,
+}
+
+impl Draft {
+    /// Leaves the textures out, with a remark, if the mesh has no coordinates for them.
+    pub(super) fn drop_idle_textures(&mut self) {
+        if !self.mesh.texture_coordinates.is_empty() {
+            return;
+        }
+        self.images.clear();
+        let mut has_textures = false;
+        for material in &mut self.mesh.materials.materials {
+            material.keep_textures(|_| {
+                has_textures = true;
+                None
+            });
+        }
+        if has_textures {
+            self.remarks.push("its textures are left out: it has no texture coordinates".to_owned());
+        }
+    }
 }
 
 /// Why a file cannot be read as a mesh.
@@ -188,7 +211,7 @@ const START_BYTES: u64 = 1 << 16;
 impl Format {
     /// The format of a file of `n_bytes` bytes that starts like this.
     pub fn of(start: &[u8], n_bytes: u64) -> Option<Self> {
-        let text = start.strip_prefix(b"\xef\xbb\xbf").unwrap_or(start).trim_ascii_start();
+        let text = start.strip_prefix(BYTE_ORDER_MARK).unwrap_or(start).trim_ascii_start();
         let is_solid = text.get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
         Some(match start {
             [b'p', b'l', b'y', ..] => Self::Ply,

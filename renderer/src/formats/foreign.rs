@@ -1,6 +1,6 @@
 //! Says of a file that is no model, or no image, what it is, and what to do about it.
 
-use crate::formats::stl;
+use crate::formats::{file::BYTE_ORDER_MARK, stl};
 
 /// Beginnings of files of other kinds, and what each is, with the cure.
 const KINDS: [(&[u8], &str); 22] = [
@@ -57,7 +57,7 @@ pub(super) fn fault(start: &[u8], n_bytes: u64) -> String {
 
 /// The kind of a file by its beginning, and the cure.
 pub(super) fn kind(start: &[u8]) -> Option<&'static str> {
-    let text = start.strip_prefix(b"\xef\xbb\xbf").unwrap_or(start).trim_ascii_start();
+    let text = start.strip_prefix(BYTE_ORDER_MARK).unwrap_or(start).trim_ascii_start();
     let begins = |with: &&(&[u8], &str)| {
         let same = |bytes: &[u8]| bytes.get(..with.0.len()).is_some_and(|it| it.eq_ignore_ascii_case(with.0));
         same(start) || same(text)

@@ -2,8 +2,8 @@
 //! and transformed textures.
 //!
 //! [`document`] is the JSON, [`buffers`] and [`accessor`] are its numbers, [`nodes`] places meshes, [`geometry`] puts their
-//! triangles together, [`look`] reads materials, [`images`] finds the images that they show. Nothing in a file is trusted: what is missing or damaged is left out with a
-//! remark, unless nothing remains.
+//! triangles together, [`look`] reads materials, [`images`] finds the images that they show. Nothing in a file is trusted:
+//! what is missing or damaged is left out with a remark, unless nothing remains.
 
 mod accessor;
 mod buffers;
@@ -28,7 +28,11 @@ use self::{
     document::{Document, Header},
     geometry::Geometry,
 };
-use crate::formats::{assembly::AssemblyError, companions::Companions, file::Draft};
+use crate::formats::{
+    assembly::AssemblyError,
+    companions::Companions,
+    file::{BYTE_ORDER_MARK, Draft},
+};
 
 /// A fault of a glTF.
 #[derive(Debug, thiserror::Error)]
@@ -129,7 +133,7 @@ pub fn read_binary(mut reader: impl BufRead, n_bytes: u64, companions: &Companio
 pub fn read_text(mut reader: impl BufRead, n_bytes: u64, companions: &Companions) -> Result<Draft, Problem> {
     let mut json = Vec::new();
     reader.by_ref().take(n_bytes).read_to_end(&mut json)?;
-    read_parts(json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&json), &[], companions)
+    read_parts(json.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&json), &[], companions)
 }
 
 fn read_parts(json: &[u8], binary: &[u8], companions: &Companions) -> Result<Draft, Problem> {
@@ -171,6 +175,7 @@ fn read_parts(json: &[u8], binary: &[u8], companions: &Companions) -> Result<Dra
         let problem = if has_points { Problem::NoTriangles } else { Problem::Nothing };
         return Err(problem(draft.remarks.join("; ")));
     }
+    draft.drop_idle_textures();
     draft.mesh.up = Some(UpAxis::Y);
     Ok(draft)
 }

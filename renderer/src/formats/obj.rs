@@ -19,7 +19,7 @@ use self::piece::{Fault, Piece};
 use crate::formats::{
     assembly::{AssemblyError, MeshBuilder, TextProblem},
     companions::Companions,
-    file::Draft,
+    file::{BYTE_ORDER_MARK, Draft},
     wedges::{self, Look},
 };
 use crate::model::{material::Material, normal::Normal};
@@ -28,8 +28,6 @@ pub use self::mtl::Library;
 
 /// Bytes of a piece: large beside a line, small beside a core's cache.
 const PIECE_BYTES: usize = 1 << 19;
-/// Some editors on Windows begin UTF-8 with it.
-const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 /// The longest file of materials; real ones have some KB.
 const LONGEST_LIBRARY: u64 = 1 << 26;
 /// The most rows that name such files; real models have one.
@@ -233,25 +231,8 @@ impl Model {
         }
         let library = read_libraries(&self.libraries, companions, &mut draft.remarks);
         assign_materials(&mut draft, library, &self.names, self.of_triangles);
-        if draft.mesh.texture_coordinates.is_empty() {
-            leave_textures_out(&mut draft);
-        }
+        draft.drop_idle_textures();
         Ok(draft)
-    }
-}
-
-/// Leaves out the textures of a mesh that has no coordinates for them.
-fn leave_textures_out(draft: &mut Draft) {
-    draft.images.clear();
-    let mut has_textures = false;
-    for material in &mut draft.mesh.materials.materials {
-        material.keep_textures(|_| {
-            has_textures = true;
-            None
-        });
-    }
-    if has_textures {
-        draft.remarks.push("its textures are left out: it has no texture coordinates".to_owned());
     }
 }
 

@@ -299,6 +299,7 @@ mod tests {
             TEXT.replace("endsolid two facets\n", ""),
             TEXT.replace("endfacet\nfacet", "endfacet\nendsolid a vertex\nsolid b vertex\nfacet"),
             TEXT.replace("two facets\n", "\u{e9} facet vertex\n"),
+            format!("\u{feff}{}", TEXT.trim_start().replacen("two facets", "a vertex", 1)),
             // Lines may end anywhere but within a name.
             TEXT.replace('\n', " "),
             TEXT.replace([' ', '\n'], "\n").replace("solid\ntwo\nfacets", "solid two facets"),

@@ -265,8 +265,8 @@ fn wall_address(named: &str) -> Result<String, String> {
     if host.is_empty() {
         return Err(format!("the wall has no name: {cure}"));
     }
-    if port.parse() == Ok(0_u16) {
-        return Err(format!("no wall can be reached on port 0: {cure}"));
+    if !matches!(port.parse::<u16>(), Ok(1..)) {
+        return Err(format!("no wall can be reached on port {port:?}: {cure}"));
     }
     Ok(address)
 }
@@ -284,9 +284,6 @@ pub fn with_port(wall: &str) -> String {
 pub(super) async fn connect(host: &str, only_this_machine: bool) -> anyhow::Result<io::Result<TcpStream>> {
     let addresses: Vec<SocketAddr> = match lookup_host(host).await {
         Ok(addresses) => addresses.collect(),
-        Err(error) if error.kind() == io::ErrorKind::InvalidInput => {
-            bail!("\"{host}\" is not an address: write it as HOST:PORT, for example wall.example:{DEFAULT_PORT}")
-        }
         // The system's own words differ from one attempt to the next.
         Err(_) => {
             let told = "no machine of this name is known: check the name and this machine's network, or give the wall's address";
@@ -370,7 +367,13 @@ mod tests {
 
     #[test]
     fn an_address_where_no_wall_can_be_is_refused() {
-        for (wall, cause) in [(":7117", "has no name"), ("wall.example:0", "port 0"), ("[::1]:00", "port 0")] {
+        for (wall, cause) in [
+            (":7117", "has no name"),
+            ("wall.example:0", "port \"0\""),
+            ("[::1]:00", "port \"00\""),
+            ("wall.example:65536", "port \"65536\""),
+            ("no port:here", "port \"here\""),
+        ] {
             let error = wall_address(wall).unwrap_err();
             assert!(error.contains(cause) && error.contains("wall.example:7117"), "{error}");
         }

@@ -280,6 +280,22 @@ fn attributes_that_cannot_be_used_are_left_out_with_a_line() {
 }
 
 #[test]
+fn textures_without_coordinates_are_told() {
+    let more = |attributes: &str| {
+        format!(
+            r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{{attributes}}},"indices":1,"material":0}}]}}],
+            "materials":[{{"pbrMetallicRoughness":{{"baseColorTexture":{{"index":0}}}}}}],
+            "textures":[{{"source":0}}],"images":[{{"uri":"a.png"}}]"#
+        )
+    };
+    let bare = draft(&more(r#""POSITION":0"#));
+    assert_eq!(bare.remarks, ["its textures are left out: it has no texture coordinates"]);
+    assert_eq!((bare.images.len(), bare.mesh.materials.materials[0].base_color_texture), (0, None));
+    let whole = draft(&more(r#""POSITION":0,"TEXCOORD_0":2"#));
+    assert_eq!((whole.remarks.len(), whole.images.len()), (0, 1));
+}
+
+#[test]
 fn json_of_careless_programs_is_read() {
     let plain = format!(r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{PRIMITIVE}]}}],{ACCESSORS}"#);
     for (from, to) in [

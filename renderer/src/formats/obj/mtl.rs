@@ -3,6 +3,7 @@
 use std::collections::{BTreeSet, HashMap};
 
 use crate::formats::{
+    file::BYTE_ORDER_MARK,
     images::{Channels, ImageSource},
     obj::piece::text,
 };
@@ -63,7 +64,7 @@ impl Library {
         folder.clone_into(&mut self.folder);
         let mut maps = Maps::default();
         let n_before = self.materials.len();
-        let bytes = bytes.strip_prefix(super::BYTE_ORDER_MARK).unwrap_or(bytes);
+        let bytes = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
         for line in bytes.split(|&byte| matches!(byte, b'\n' | b'\r')) {
             // Some programs indent lines.
             let line = text(line.trim_ascii_start());

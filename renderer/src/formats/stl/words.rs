@@ -2,6 +2,8 @@
 
 use std::io::{self, Read};
 
+use crate::formats::file::BYTE_ORDER_MARK;
+
 /// Bytes of the text that are held at once. Longer words, which no program writes, come in parts.
 const HELD_BYTES: usize = 1 << 16;
 
@@ -22,6 +24,9 @@ impl<R: Read> Words<R> {
         let mut words = Self { reader, held: vec![0; HELD_BYTES], start: 0, end: 0, line_end: b'\n', line: 1 };
         words.refill()?;
         let held = &words.held[..words.end];
+        if held.starts_with(BYTE_ORDER_MARK) {
+            words.start = BYTE_ORDER_MARK.len();
+        }
         // Old Macs end lines with a carriage return alone.
         if !held.contains(&b'\n') && held.contains(&b'\r') {
             words.line_end = b'\r';
