@@ -2,7 +2,8 @@
 //! the root, after Reshetov, Soupikov and Hurley, "Multi-Level Ray Tracing Algorithm" (2005).
 //!
 //! Short rays from neighbouring samples, as those of ambient occlusion, spare a third of their steps, but must be compared with
-//! all entry points, which pays for a vector of rays at a time. tests/README.md has figures.
+//! all entry points, which pays for a vector of rays at a time. Those that pass none are answered at once. tests/README.md has
+//! figures.
 
 use std::ops::Range;
 
