@@ -35,9 +35,9 @@ const ROOM: usize = 2 * CHILDREN;
 pub(super) struct RayBatch {
     /// Index of the first among all rays.
     first: usize,
-    /// The places in the batch of rays that may hit something, with room for a vector after the last, and of those the next to
-    /// begin.
+    /// The places in the batch of rays that may hit something, with room for a vector after the last.
     places: [u32; N_VECTORS * 16 + 16],
+    /// Those of `places` whose rays have not begun.
     left: Range<usize>,
     starts: [RayStarts; N_VECTORS],
     entry_points: EntryPoints,
