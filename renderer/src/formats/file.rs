@@ -26,6 +26,9 @@ use crate::{
 /// Some editors on Windows begin UTF-8 with it.
 pub(super) const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
+/// The remark on textures of a mesh that has no coordinates for them.
+pub(super) const IDLE_TEXTURES: &str = "its textures are left out: it has no texture coordinates";
+
 /// The endings of files that are shown, in small letters.
 const ENDINGS: [&str; 6] = ["ply", "obj", "stl", "gltf", "glb", scene_file::cache::ENDING];
 
@@ -70,7 +73,7 @@ impl Draft {
             });
         }
         if has_textures {
-            self.remarks.push("its textures are left out: it has no texture coordinates".to_owned());
+            self.remarks.push(IDLE_TEXTURES.to_owned());
         }
     }
 }

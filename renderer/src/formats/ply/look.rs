@@ -2,7 +2,7 @@
 
 use crate::formats::{
     assembly::AssemblyError,
-    file::Draft,
+    file::{Draft, IDLE_TEXTURES},
     images::ImageSource,
     ply::element::Corners,
     polygon::Division,
@@ -67,7 +67,7 @@ impl FaceLooks {
         if !draft.mesh.texture_coordinates.is_empty() {
             add_textures(&mut draft, textures, self.textures);
         } else if !textures.is_empty() {
-            draft.remarks.push("its textures are left out: it has no texture coordinates".to_owned());
+            draft.remarks.push(IDLE_TEXTURES.to_owned());
         }
         Ok(draft)
     }

@@ -8,7 +8,7 @@ use crate::formats::{
 };
 use crate::model::{mesh::Mesh, normal::Normal};
 
-/// What triangles without a colour look like.
+/// The colour of triangles that have none.
 const WHITE: [u8; 3] = [u8::MAX; 3];
 
 /// The colours of triangles, taken as sRGB: the format names no colour space.
